@@ -1,0 +1,157 @@
+//! What is painted on the road: which lines, where, how worn.
+
+use super::noise::{Draws, NoiseRow};
+
+/// One painted line along the road.
+#[derive(Clone, Copy, Debug)]
+pub struct Line {
+    /// Offset of its middle from the middle of the ego lane, metres, right positive.
+    pub offset_m: f32,
+    /// Painted width, metres.
+    pub width_m: f32,
+    /// Painted length and gap of a dash, metres; `None` for a solid line.
+    pub dash_m: Option<(f32, f32)>,
+    /// Yellow instead of white.
+    pub yellow: bool,
+}
+
+/// The cross-section of the carriageway.
+#[derive(Clone, Debug)]
+pub struct Layout {
+    /// Lines from left to right.
+    pub lines: heapless::Vec<Line, 8>,
+    /// Left and right edge of the asphalt, metres from the middle of the ego lane.
+    pub asphalt_m: (f32, f32),
+    /// Offsets of the lanes' middles in the direction of travel.
+    pub lanes_m: heapless::Vec<f32, 4>,
+    /// Offset of the oncoming lane, if the road has one.
+    pub oncoming_m: Option<f32>,
+    /// Width of a lane, metres.
+    pub lane_width_m: f32,
+    wear: f32,
+    wear_seed: u32,
+}
+
+impl Layout {
+    /// The cross-section of a drive: 1 to 3 lanes one way, or 1 each way.
+    pub fn new(draws: Draws) -> Self {
+        let lane = draws.range("lane width", 3.0, 3.8);
+        let count = draws.pick("lanes", &[1, 2, 2, 3, 3]);
+        let ego = draws.seed("ego lane") as usize % count;
+        let two_way = count == 1;
+        let width_m = draws.range("line width", 0.11, 0.22);
+        let dash = draws.pick("dash", &[(3.0, 9.0), (4.0, 8.0), (6.0, 6.0), (6.0, 12.0)]);
+        let yellow = draws.chance("yellow", 0.35);
+        let left_edge = -(ego as f32 + 0.5) * lane;
+        let right_edge = (count as f32 - ego as f32 - 0.5) * lane;
+        let mut lines = heapless::Vec::new();
+        let mut paint = |offset_m, dash_m, yellow| {
+            // At most 3 lanes and an oncoming one: 6 lines of 8.
+            let _ = lines.push(Line { offset_m, width_m, dash_m, yellow });
+        };
+        if two_way {
+            paint(left_edge - lane, None, false);
+            match draws.pick("centre line", &[0, 1, 2]) {
+                0 => paint(left_edge, Some(dash), yellow),
+                1 => paint(left_edge, None, yellow),
+                _ => {
+                    paint(left_edge - width_m, None, yellow);
+                    paint(left_edge + width_m, None, yellow);
+                }
+            }
+        } else {
+            paint(left_edge, None, yellow);
+        }
+        for boundary in 1..count {
+            paint(left_edge + boundary as f32 * lane, Some(dash), false);
+        }
+        paint(right_edge, None, false);
+        let verge = draws.range("paved shoulder", 0.3, 2.8);
+        Self {
+            lines,
+            asphalt_m: (
+                if two_way { left_edge - lane - verge } else { left_edge - 0.6 * verge - 0.2 },
+                right_edge + verge,
+            ),
+            lanes_m: (0..count).map(|i| (i as f32 - ego as f32) * lane).collect(),
+            oncoming_m: two_way.then_some(-lane),
+            lane_width_m: lane,
+            wear: draws.range("wear", 0.0, 0.75),
+            wear_seed: draws.seed("wear pattern"),
+        }
+    }
+}
+
+/// The paint along one image row: lines cut to the row's stretch of road.
+pub struct PaintRow<'a> {
+    layout: &'a Layout,
+    cover: heapless::Vec<f32, 8>,
+    wear: NoiseRow,
+    worn: bool,
+}
+
+impl<'a> PaintRow<'a> {
+    /// The stretch of `length_m` around arc length `s_m`.
+    pub fn new(layout: &'a Layout, s_m: f64, length_m: f32) -> Self {
+        Self {
+            layout,
+            cover: layout
+                .lines
+                .iter()
+                .map(|line| line.dash_m.map_or(1.0, |dash| dash_cover(dash, s_m, length_m)))
+                .collect(),
+            wear: NoiseRow::new(layout.wear_seed, s_m / 0.35),
+            worn: length_m < 2.0,
+        }
+    }
+
+    /// Share of paint on `width_m` metres around offset `d_m`, and whether it is yellow.
+    ///
+    /// Coverage is the exact overlap of line and pixel, so thin lines far away fade instead of flickering.
+    pub fn at(&self, d_m: f32, width_m: f32) -> Option<(f32, bool)> {
+        for (line, cover) in self.layout.lines.iter().zip(&self.cover) {
+            let overlap = (0.5 * (line.width_m + width_m) - (d_m - line.offset_m).abs()) / width_m;
+            let share = overlap.clamp(0.0, (line.width_m / width_m).min(1.0)) * cover;
+            if share > 0.0 {
+                let grain = if self.worn { self.wear.at(f64::from(d_m) / 0.12) } else { 0.5 };
+                let kept = 1.0 - self.layout.wear * (0.35 + 0.65 * grain);
+                return Some((share * kept, line.yellow));
+            }
+        }
+        None
+    }
+}
+
+fn dash_cover((paint, gap): (f32, f32), s_m: f64, length_m: f32) -> f32 {
+    let period = f64::from(paint + gap);
+    // Painted length before s, from the start of the road.
+    let painted = |s: f64| {
+        let periods = (s / period).floor();
+        periods * f64::from(paint) + (s - periods * period).min(f64::from(paint))
+    };
+    let half = 0.5 * f64::from(length_m).max(0.01);
+    ((painted(s_m + half) - painted(s_m - half)) / (2.0 * half)) as f32
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn dashes_cover_their_share_of_a_long_stretch() {
+        let cover = dash_cover((3.0, 9.0), 500.0, 1_200.0);
+        assert!((cover - 0.25).abs() < 1e-3, "{cover}");
+        assert!((dash_cover((3.0, 9.0), 12.0 * 7.0 + 1.5, 0.5) - 1.0).abs() < 1e-5);
+        assert!(dash_cover((3.0, 9.0), 12.0 * 7.0 + 6.0, 0.5).abs() < 1e-5);
+    }
+
+    #[test]
+    fn the_ego_lane_lies_between_two_lines() {
+        for seed in 0..200 {
+            let layout = Layout::new(Draws(seed));
+            let left = layout.lines.iter().any(|l| l.offset_m < 0.0 && l.offset_m > -2.3);
+            let right = layout.lines.iter().any(|l| l.offset_m > 0.0 && l.offset_m < 2.3);
+            assert!(left && right, "seed {seed}: {:?}", layout.lines);
+        }
+    }
+}

@@ -1,0 +1,129 @@
+//! Seeded randomness: the same number for the same seed and place on every machine and thread.
+//!
+//! Only integer arithmetic and IEEE additions and products are used, so results are bit-identical everywhere.
+
+/// Mixes a seed and a lattice point into 32 well-spread bits.
+pub fn hash(seed: u32, x: i32, y: i32) -> u32 {
+    let mut h = seed
+        ^ (x as u32).wrapping_mul(0x9E37_79B1)
+        ^ (y as u32).wrapping_mul(0x85EB_CA77).rotate_left(13);
+    h ^= h >> 16;
+    h = h.wrapping_mul(0x7FEB_352D);
+    h ^= h >> 15;
+    h = h.wrapping_mul(0x846C_A68B);
+    h ^ (h >> 16)
+}
+
+/// Maps hashed bits to `[0, 1)`.
+pub fn unit(bits: u32) -> f32 {
+    (bits >> 8) as f32 * (1.0 / 16_777_216.0)
+}
+
+fn lattice(x: f64) -> (i32, f32) {
+    let cell = x.floor();
+    (cell as i64 as i32, (x - cell) as f32)
+}
+
+fn smooth(t: f32) -> f32 {
+    t * t * (3.0 - 2.0 * t)
+}
+
+fn mix(a: f32, b: f32, t: f32) -> f32 {
+    a + (b - a) * t
+}
+
+/// Piecewise linear noise of one coordinate, `-1..1`: as a curvature it makes a road of clothoids.
+pub fn linear_noise(seed: u32, x: f64) -> f32 {
+    let (cell, t) = lattice(x);
+    let at = |i: i32| 2.0 * unit(hash(seed, i, 0)) - 1.0;
+    mix(at(cell), at(cell.wrapping_add(1)), t)
+}
+
+/// Smooth noise of one coordinate, `-1..1`.
+pub fn wander(seed: u32, x: f64) -> f32 {
+    let (cell, t) = lattice(x);
+    let at = |i: i32| 2.0 * unit(hash(seed, i, 1)) - 1.0;
+    mix(at(cell), at(cell.wrapping_add(1)), smooth(t))
+}
+
+/// Smooth noise of two coordinates, `0..1`.
+pub fn value_noise(seed: u32, x: f64, y: f64) -> f32 {
+    NoiseRow::new(seed, x).at(y)
+}
+
+/// [`value_noise`] with the first coordinate fixed, for the pixels of one image row.
+pub struct NoiseRow {
+    seed: u32,
+    cell: i32,
+    t: f32,
+}
+
+impl NoiseRow {
+    /// Fixes the first coordinate.
+    pub fn new(seed: u32, x: f64) -> Self {
+        let (cell, t) = lattice(x);
+        Self { seed, cell, t: smooth(t) }
+    }
+
+    /// The noise at the second coordinate, `0..1`.
+    pub fn at(&self, y: f64) -> f32 {
+        let (cell, t) = lattice(y);
+        let corner = |i, j| unit(hash(self.seed, i, j));
+        let (next_row, next) = (self.cell.wrapping_add(1), cell.wrapping_add(1));
+        let near = mix(corner(self.cell, cell), corner(next_row, cell), self.t);
+        let far = mix(corner(self.cell, next), corner(next_row, next), self.t);
+        mix(near, far, smooth(t))
+    }
+}
+
+/// Named draws from one seed: a new draw does not change the others.
+#[derive(Clone, Copy, Debug)]
+pub struct Draws(pub u32);
+
+impl Draws {
+    /// A seed of its own for the thing called `name` (FNV-1a of the name, mixed with the seed).
+    pub fn seed(self, name: &str) -> u32 {
+        let name = name.bytes().fold(0x811C_9DC5_u32, |h, b| (h ^ u32::from(b)).wrapping_mul(0x0100_0193));
+        hash(self.0, name as i32, 0x5EED)
+    }
+
+    /// Uniform in `low..high`.
+    pub fn range(self, name: &str, low: f32, high: f32) -> f32 {
+        mix(low, high, unit(self.seed(name)))
+    }
+
+    /// True with the given probability.
+    pub fn chance(self, name: &str, probability: f32) -> bool {
+        unit(self.seed(name)) < probability
+    }
+
+    /// One of the options, each as likely as the others.
+    pub fn pick<T: Copy>(self, name: &str, options: &[T]) -> T {
+        options[self.seed(name) as usize % options.len()]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn noise_stays_in_range_and_is_continuous() {
+        for i in 0..10_000 {
+            let x = f64::from(i) * 0.013 - 50.0;
+            let here = value_noise(7, x, 0.3 * x);
+            assert!((0.0..=1.0).contains(&here));
+            assert!((here - value_noise(7, x + 1e-6, 0.3 * x)).abs() < 1e-4);
+            assert!((linear_noise(3, x) - linear_noise(3, x + 1e-6)).abs() < 1e-4);
+        }
+    }
+
+    #[test]
+    fn draws_by_name_are_independent_of_each_other() {
+        let (a, b) = (Draws(1), Draws(2));
+        assert_ne!(a.seed("lane width"), a.seed("lanes"));
+        assert_ne!(a.seed("lane width"), b.seed("lane width"));
+        let mean = (0..2_000).map(|s| Draws(s).range("x", 0.0, 1.0)).sum::<f32>() / 2_000.0;
+        assert!((mean - 0.5).abs() < 0.02, "mean of 2,000 uniform draws is {mean}");
+    }
+}
