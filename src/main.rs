@@ -1,1 +1,56 @@
-fn main() {}
+//! Words typed → command → exit code.
+
+mod args;
+mod commands;
+
+use std::io::Write;
+use std::process::ExitCode;
+
+use clap::Parser;
+
+/// Exit code of a command that could not do its job.
+const COULD_NOT: u8 = 2;
+
+fn main() -> ExitCode {
+    env_logger::Builder::from_env(env_logger::Env::default().default_filter_or("warn")).init();
+    let cli = match args::Cli::try_parse() {
+        Ok(cli) => cli,
+        Err(error) => return refuse_or_help(&error),
+    };
+    let mut out = std::io::stdout().lock();
+    match commands::run(cli.command, &mut out).and_then(|code| Ok(out.flush().map(|()| code)?)) {
+        Ok(code) => ExitCode::from(code),
+        // The reader of our output has left, as `head` does: nothing is wrong.
+        Err(error) if is_broken_pipe(&error) => ExitCode::SUCCESS,
+        Err(error) => {
+            complain(&format!("{error:#}"));
+            ExitCode::from(COULD_NOT)
+        }
+    }
+}
+
+/// Help and version as clap writes them; a wrong command line in one line.
+fn refuse_or_help(error: &clap::Error) -> ExitCode {
+    if !error.use_stderr() {
+        return match error.print() {
+            Ok(()) => ExitCode::SUCCESS,
+            Err(_) => ExitCode::from(COULD_NOT),
+        };
+    }
+    let text = error.render().to_string();
+    let said: Vec<&str> = text.split("\n\n").next().unwrap_or_default().lines().map(str::trim).collect();
+    complain(&format!("{} (see gapwatch --help)", said.join(" ").trim_start_matches("error: ")));
+    ExitCode::from(COULD_NOT)
+}
+
+fn complain(what: &str) {
+    let one_line = what.split_whitespace().collect::<Vec<_>>().join(" ");
+    let _ = writeln!(std::io::stderr(), "gapwatch: {one_line}");
+}
+
+fn is_broken_pipe(error: &anyhow::Error) -> bool {
+    error
+        .chain()
+        .filter_map(|cause| cause.downcast_ref::<std::io::Error>())
+        .any(|cause| cause.kind() == std::io::ErrorKind::BrokenPipe)
+}

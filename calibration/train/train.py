@@ -1,0 +1,373 @@
+#!/usr/bin/env python3
+"""Renders scenes, trains a lane model on them, measures it, exports it and writes its card.
+
+One command, from the repository root:
+
+    python calibration/train/train.py
+
+README.md beside this file says how long it takes and what comes out.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import os
+import shlex
+import shutil
+import sys
+import time
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from card import Card, processor_name, write_settings
+from evaluation import best_lane_logit, measure, prediction_of
+from export import ExportError, compare, export, prediction_of_file
+from losses import distillation_loss, lane_loss
+from network import MODELS, TAPS, LaneNetwork, count_multiply_adds, count_parameters
+from scenes import (
+    Normalisation,
+    SceneError,
+    SceneSet,
+    Size,
+    load,
+    refuse_shared_frames,
+    render,
+    sha256_of,
+    training_batches,
+)
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+# Seeds of the rendered sets. Nothing else in gapwatch may use the first one and call it unseen.
+TRAINING_SEED, VALIDATION_SEED, TEST_SEED = 1001, 2002, 3003
+WARM_UP = 0.1  # share of training over which the learning rate rises
+WEIGHT_DECAY = 1e-4
+EVALUATION_BATCH = 16
+
+
+class SettingsError(Exception):
+    """The command line cannot be carried out as typed."""
+
+
+@dataclass(frozen=True)
+class Trained:
+    """What `train` hands back beside the network, which it changes in place."""
+
+    epochs: int
+    steps: int
+    seconds: float
+
+
+def main() -> int:
+    """The program: 0 = all done and checked, 2 = not, with one line on standard error."""
+    args = parse_arguments()
+    try:
+        run(args)
+    except (SettingsError, SceneError, ExportError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    if args.smoke:
+        print("smoke run passed: rendered, trained, measured, exported, checked")
+    return 0
+
+
+def parse_arguments() -> argparse.Namespace:
+    """The command line as typed; `--smoke` then shrinks what it does not name."""
+    parser = argparse.ArgumentParser(
+        description="Renders scenes, trains a lane model, measures, exports and describes it.",
+        epilog="example: python calibration/train/train.py --model lite --size 320x160",
+        formatter_class=argparse.ArgumentDefaultsHelpFormatter,
+    )
+    parser.add_argument("--model", choices=MODELS, default="lite", help="which encoder")
+    parser.add_argument("--size", type=size_argument, default="320x160", help="input, WxH pixels")
+    parser.add_argument("--scenes", type=count_argument, default=5000, help="training scenes")
+    parser.add_argument("--validation", type=count_argument, default=200, help="scenes an epoch")
+    parser.add_argument("--test", type=count_argument, default=1000, help="scenes for the IoU")
+    length = parser.add_mutually_exclusive_group()
+    length.add_argument("--epochs", type=count_argument, default=20, help="passes over the scenes")
+    length.add_argument(
+        "--minutes", type=float, help="train so long instead; not repeatable to the bit"
+    )
+    parser.add_argument("--batch", type=count_argument, default=16, help="scenes a step")
+    parser.add_argument("--learning-rate", type=float, default=4e-3, help="at its peak")
+    parser.add_argument("--sad", action=argparse.BooleanOptionalAction, default=True,
+                        help="self-attention distillation in the second half")
+    parser.add_argument("--sad-weight", type=float, default=0.1, help="its weight in the loss")
+    parser.add_argument("--share-weights", action=argparse.BooleanOptionalAction, default=None,
+                        help="one set of convolutions for E2 to E4; default: enet-sad yes, lite no")
+    parser.add_argument("--jitter", type=float, default=0.1, help="of brightness and colour")
+    parser.add_argument("--seed", type=int, default=1, help="of weights, order and augmentation")
+    parser.add_argument("--threads", type=count_argument, default=os.cpu_count() or 1,
+                        help="CPU threads")
+    parser.add_argument("--device", choices=("auto", "cpu", "cuda"), default="auto",
+                        help="auto = cuda where there is one")
+    parser.add_argument("--precision", choices=("auto", "fp32", "bf16"), default="auto",
+                        help="of the training steps; auto = bf16 where the hardware multiplies it")
+    parser.add_argument("--gapwatch", type=Path, default=REPOSITORY / "target/release/gapwatch",
+                        help="the program that renders the scenes")
+    parser.add_argument("--work", type=Path, default=REPOSITORY / "target/train",
+                        help="folder for rendered scenes, kept for the next run")
+    parser.add_argument("--out", type=Path, default=REPOSITORY / "calibration",
+                        help="folder for NAME.onnx, NAME.toml and NAME.md")
+    parser.add_argument("--name", help="default: enet-sad-lite-WxH or enet-sad-WxH")
+    parser.add_argument("--smoke", action="store_true",
+                        help="the whole way in a minute, on a few scenes, below --work")
+    args = parser.parse_args()
+    if args.smoke:
+        args.scenes, args.validation, args.test = 96, 16, 32
+        args.epochs, args.minutes, args.batch = 2, None, 8
+        args.out = args.work / "smoke"
+    stem = "enet-sad" if args.model == "enet-sad" else "enet-sad-lite"
+    args.name = args.name or f"{stem}-{args.size}"
+    return args
+
+
+def size_argument(text: str) -> Size:
+    """`WxH`, for argparse."""
+    try:
+        return Size.parse(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from error
+
+
+def count_argument(text: str) -> int:
+    """A whole number above 0, for argparse."""
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number above 0")
+    return int(text)
+
+
+def run(args: argparse.Namespace) -> None:
+    """The whole way from scenes to card."""
+    check_settings(args)
+    torch.set_num_threads(args.threads)
+    torch.manual_seed(args.seed)
+    device = torch.device(
+        "cuda" if args.device == "cuda" or (args.device == "auto" and torch.cuda.is_available())
+        else "cpu"
+    )
+    half = args.precision == "bf16" or (args.precision == "auto" and multiplies_bf16(device))
+
+    training, validation, test = (
+        load(render(args.gapwatch, args.work, seed, count, args.size), seed, args.size,
+             args.threads)
+        for seed, count in (
+            (TRAINING_SEED, args.scenes), (VALIDATION_SEED, args.validation), (TEST_SEED, args.test)
+        )
+    )
+    refuse_shared_frames(training, validation, test)
+    normalisation = Normalisation.of(training)
+    print(f"scenes  {len(training)} to train on, {training.lane_share() * 100:.2f} % marking; "
+          f"mean {normalisation.mean}, std {normalisation.std}", flush=True)
+
+    network = LaneNetwork(args.model, args.share_weights)
+    network.to(device=device, memory_format=torch.channels_last)
+    multiply_adds = count_multiply_adds(network.encoder, args.size.width, args.size.height)
+    machine = (f"{processor_name()}, {args.threads} threads" if device.type == "cpu"
+               else torch.cuda.get_device_name(device))
+    machine += f", {'bf16' if half else 'fp32'} training steps, PyTorch {torch.__version__}"
+    print(f"network {args.name}: encoder {count_parameters(network.encoder):,} parameters, "
+          f"{multiply_adds / 1e6:.1f} M multiply-adds; {machine}", flush=True)
+
+    trained = train(network, training, validation, normalisation, args, device, half)
+    predict = prediction_of(network)
+    lane_logit = best_lane_logit(predict, validation, normalisation, EVALUATION_BATCH)
+    network.head.lower(lane_logit)
+
+    onnx_file = args.out / f"{args.name}.onnx"
+    export(network, args.size, onnx_file)
+    write_settings(args.out / f"{args.name}.toml", args.size, normalisation)
+    exported = prediction_of_file(onnx_file, args.threads)
+    network.cpu()
+    agreement = compare(prediction_of(network), exported,
+                        normalisation.apply(test.first(8).frames))
+    print("export  " + ", ".join(f"{k} {v:.1e}" for k, v in agreement.relative.items())
+          + " relative difference from PyTorch", flush=True)
+
+    measurement = measure(exported, test, normalisation, EVALUATION_BATCH)
+    low, high = measurement.interval()
+    peaks = measurement.median_peaks()
+    print(f"test    lane IoU {measurement.iou():.4f} ({low:.4f} to {high:.4f}) on {len(test)} "
+          f"unseen scenes; median peak energy "
+          + ", ".join(f"{tap} {peaks[tap]:.4g}" for tap in TAPS), flush=True)
+
+    card = Card(
+        name=args.name,
+        model=args.model,
+        size=args.size,
+        command=command_of(args),
+        scene_seeds={
+            "training": (TRAINING_SEED, len(training)),
+            "validation": (VALIDATION_SEED, len(validation)),
+            "test": (TEST_SEED, len(test)),
+        },
+        program_sha256=sha256_of(args.gapwatch),
+        lane_share=training.lane_share(),
+        seed=args.seed,
+        epochs=trained.epochs,
+        steps=trained.steps,
+        batch=min(args.batch, len(training)),
+        learning_rate=args.learning_rate,
+        jitter=args.jitter,
+        sad_weight=args.sad_weight if args.sad else 0.0,
+        share_weights=network.share_weights,
+        lane_logit=lane_logit,
+        train_seconds=trained.seconds,
+        machine=machine,
+        measurement=measurement,
+        encoder_parameters=count_parameters(network.encoder),
+        head_parameters=count_parameters(network.head),
+        encoder_multiply_adds=multiply_adds,
+        total_multiply_adds=count_multiply_adds(network, args.size.width, args.size.height),
+        channels=network.encoder.channels,
+        agreement=agreement,
+        onnx_sha256=sha256_of(onnx_file),
+        onnx_bytes=onnx_file.stat().st_size,
+    )
+    card_file = args.out / f"{args.name}.md"
+    card_file.write_text(card.text(), encoding="utf-8")
+    check_outputs(args, card.onnx_sha256)
+    print(f"wrote   {onnx_file}, {args.name}.toml and {args.name}.md", flush=True)
+
+
+def check_settings(args: argparse.Namespace) -> None:
+    """Finds what is missing before any time is spent, and says what would mend it."""
+    if not args.gapwatch.is_file() or not os.access(args.gapwatch, os.X_OK):
+        raise SettingsError(
+            f"no program {args.gapwatch}: run `cargo build --release` in the repository root, or "
+            "name the program with --gapwatch"
+        )
+    args.gapwatch = args.gapwatch.resolve()
+    if args.minutes is not None and not args.minutes > 0:
+        raise SettingsError("--minutes must be above 0")
+    if not 0 <= args.jitter < 1:
+        raise SettingsError("--jitter is a share, 0 to below 1")
+    if args.device == "cuda" and not torch.cuda.is_available():
+        raise SettingsError("--device cuda: PyTorch finds no CUDA device; use --device cpu")
+    for option, folder in (("--work", args.work), ("--out", args.out)):
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise SettingsError(f"{option} {folder}: {error.strerror}") from error
+        if not os.access(folder, os.W_OK):
+            raise SettingsError(f"{option} {folder}: the folder cannot be written to")
+    # Frame and mask as PNG take less than 2 bytes a pixel.
+    scenes = args.scenes + args.validation + args.test
+    needed = 2 * scenes * args.size.width * args.size.height
+    free = shutil.disk_usage(args.work).free
+    if free < needed:
+        raise SettingsError(
+            f"--work {args.work}: {free / 1e9:.1f} GB free, the scenes may need {needed / 1e9:.1f}"
+        )
+
+
+def multiplies_bf16(device: torch.device) -> bool:
+    """Whether matrix units for bfloat16 make training faster there (CPU: AMX)."""
+    if device.type == "cuda":
+        return torch.cuda.is_bf16_supported(including_emulation=False)
+    amx = getattr(torch.cpu, "_is_amx_tile_supported", None)
+    return bool(amx and amx())
+
+
+def learning_rate_at(progress: float, peak: float) -> float:
+    """Linear rise over the first tenth, then half a cosine down to 0; `progress` runs 0 to 1."""
+    if progress < WARM_UP:
+        return peak * (0.02 + 0.98 * progress / WARM_UP)
+    return peak * 0.5 * (1.0 + math.cos(math.pi * min((progress - WARM_UP) / (1 - WARM_UP), 1.0)))
+
+
+def train(
+    network: LaneNetwork,
+    training: SceneSet,
+    validation: SceneSet,
+    normalisation: Normalisation,
+    args: argparse.Namespace,
+    device: torch.device,
+    half: bool,
+) -> Trained:
+    """Trains in place, for `args.epochs` or `args.minutes`; one line an epoch."""
+    dice = np.random.default_rng(args.seed)
+    optimiser = torch.optim.AdamW(network.parameters(), weight_decay=WEIGHT_DECAY)
+    total_steps = args.epochs * max(len(training) // args.batch, 1)
+    began = time.monotonic()
+
+    def progress() -> float:
+        if args.minutes is None:
+            return step / total_steps
+        return (time.monotonic() - began) / (60 * args.minutes)
+
+    step = epoch = 0
+    while progress() < 1:
+        epoch += 1
+        epoch_began = time.monotonic()
+        lane_losses, sad_losses = [], []
+        network.train()
+        for batch in training_batches(
+            training, normalisation, args.batch, args.jitter, dice, device
+        ):
+            done = progress()
+            if done >= 1:
+                break
+            for group in optimiser.param_groups:
+                group["lr"] = learning_rate_at(done, args.learning_rate)
+            with torch.autocast(device.type, torch.bfloat16, enabled=half):
+                logits, blocks = network(batch.image)
+            loss = lane_loss(logits, batch.lane)
+            lane_losses.append(loss.item())
+            if args.sad and done >= 0.5:
+                sad = distillation_loss(blocks)
+                sad_losses.append(sad.item())
+                loss = loss + args.sad_weight * sad
+            if not torch.isfinite(loss):
+                raise SettingsError(
+                    f"the loss is no number in epoch {epoch}; try half of --learning-rate"
+                )
+            optimiser.zero_grad(set_to_none=True)
+            loss.backward()
+            optimiser.step()
+            step += 1
+        if not lane_losses:
+            break
+        iou = measure(prediction_of(network), validation, normalisation, EVALUATION_BATCH).iou()
+        sad_text = f" SAD {np.mean(sad_losses):.3f}" if sad_losses else ""
+        of = f"/{args.epochs}" if args.minutes is None else f" ({min(progress(), 1) * 100:.0f} %)"
+        print(f"epoch   {epoch}{of}: lane loss {np.mean(lane_losses):.4f}{sad_text}, lane IoU "
+              f"{iou:.4f} on {len(validation)} validation scenes, "
+              f"{time.monotonic() - epoch_began:.1f} s", flush=True)
+    return Trained(epoch, step, time.monotonic() - began)
+
+
+def command_of(args: argparse.Namespace) -> str:
+    """The command that repeats this training, all defaults spelled out, folders left out."""
+    words = ["python", "calibration/train/train.py", "--model", args.model]
+    words += ["--size", str(args.size), "--scenes", str(args.scenes)]
+    words += ["--validation", str(args.validation), "--test", str(args.test)]
+    words += (["--epochs", str(args.epochs)] if args.minutes is None
+              else ["--minutes", f"{args.minutes:g}"])
+    words += ["--batch", str(args.batch), "--learning-rate", f"{args.learning_rate:g}"]
+    words += ["--sad", "--sad-weight", f"{args.sad_weight:g}"] if args.sad else ["--no-sad"]
+    if args.share_weights is not None:
+        words.append("--share-weights" if args.share_weights else "--no-share-weights")
+    words += ["--jitter", f"{args.jitter:g}", "--seed", str(args.seed)]
+    words += ["--threads", str(args.threads), "--device", args.device]
+    words += ["--precision", args.precision, "--name", args.name]
+    return shlex.join(words) if not args.smoke else "python calibration/train/train.py --smoke"
+
+
+def check_outputs(args: argparse.Namespace, onnx_sha256: str) -> None:
+    """Reads the written files back; `ExportError` when they are not what gapwatch expects."""
+    settings = tomllib.loads((args.out / f"{args.name}.toml").read_text(encoding="utf-8"))
+    if list(settings) != ["taps", "size", "mean", "std"] or settings["taps"] != list(TAPS):
+        raise ExportError(f"{args.name}.toml holds {settings}")
+    if settings["size"] != str(args.size):
+        raise ExportError(f"{args.name}.toml: size {settings['size']}, wanted {args.size}")
+    if onnx_sha256 not in (args.out / f"{args.name}.md").read_text(encoding="utf-8"):
+        raise ExportError(f"{args.name}.md does not name the file it describes")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,107 @@
+//! `gapwatch scene`: labelled scenes as files.
+
+use std::fs;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, bail};
+use gapwatch::scene::{Drive, Look, Renderer};
+use image::codecs::png::{CompressionType, FilterType, PngEncoder};
+use image::{ExtendedColorType, ImageEncoder};
+use rayon::prelude::*;
+use serde::Serialize;
+
+use crate::args::SceneArgs;
+
+/// One line of `scenes.jsonl`.
+#[derive(Serialize)]
+struct SceneLine {
+    frame: String,
+    mask: String,
+    seed: u64,
+    t_s: f64,
+    conditions: Vec<String>,
+}
+
+pub fn run(args: &SceneArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
+    if let Some(timed) = args.condition.iter().find(|c| c.span_s.is_some()) {
+        bail!("condition {timed}: a scene is one moment; wanted KIND:SEVERITY without @FROM-TO");
+    }
+    let folder = PartialFolder::beside(&args.out)?;
+    for part in ["frames", "masks"] {
+        let path = folder.path.join(part);
+        fs::create_dir(&path).with_context(|| format!("cannot create {}", path.display()))?;
+    }
+    let lines = (0..args.count)
+        .into_par_iter()
+        .map_init(
+            || Renderer::new(args.size.width, args.size.height),
+            |renderer, index| render_scene(args, index, renderer, &folder.path),
+        )
+        .collect::<anyhow::Result<Vec<_>>>()?;
+    let list = folder.path.join("scenes.jsonl");
+    fs::write(&list, lines.concat()).with_context(|| format!("cannot write {}", list.display()))?;
+    folder.keep(&args.out)?;
+    writeln!(
+        out,
+        "{} scenes of {}x{} in {}",
+        args.count,
+        args.size.width,
+        args.size.height,
+        args.out.display()
+    )?;
+    Ok(0)
+}
+
+fn render_scene(args: &SceneArgs, index: u32, renderer: &mut Renderer, folder: &Path) -> anyhow::Result<String> {
+    // Seeds of scene sets lie above 32 bits: no scene is a moment of a drive that a user can name by a small seed.
+    let seed = (u64::from(args.seed) + 1) << 32 | u64::from(index);
+    let t_s = f64::from(index % 600);
+    let scene = renderer.render(&Drive::new(Look::Sim, seed, &args.condition), t_s);
+    let line = SceneLine {
+        frame: format!("frames/{index:06}.png"),
+        mask: format!("masks/{index:06}.png"),
+        seed,
+        t_s,
+        conditions: args.condition.iter().map(ToString::to_string).collect(),
+    };
+    write_png(&folder.join(&line.frame), scene.rgb, args, ExtendedColorType::Rgb8)?;
+    write_png(&folder.join(&line.mask), scene.mask, args, ExtendedColorType::L8)?;
+    Ok(serde_json::to_string(&line)? + "\n")
+}
+
+fn write_png(path: &Path, pixels: &[u8], args: &SceneArgs, colour: ExtendedColorType) -> anyhow::Result<()> {
+    let mut bytes = Vec::new();
+    PngEncoder::new_with_quality(&mut bytes, CompressionType::Fast, FilterType::Sub)
+        .write_image(pixels, args.size.width, args.size.height, colour)
+        .and_then(|()| Ok(fs::write(path, &bytes)?))
+        .with_context(|| format!("cannot write {}", path.display()))
+}
+
+/// A folder under another name until it is complete; removed if that never happens.
+struct PartialFolder {
+    path: PathBuf,
+}
+
+impl PartialFolder {
+    fn beside(target: &Path) -> anyhow::Result<Self> {
+        if target.exists() && !fs::read_dir(target).is_ok_and(|mut entries| entries.next().is_none()) {
+            bail!("{} exists and is not an empty folder; name another with --out", target.display());
+        }
+        let name = target.file_name().with_context(|| format!("{}: wanted a folder's name", target.display()))?;
+        let path = target.with_file_name(format!(".{}.partial", name.to_string_lossy()));
+        fs::create_dir(&path).with_context(|| format!("cannot create {}", path.display()))?;
+        Ok(Self { path })
+    }
+
+    fn keep(self, target: &Path) -> anyhow::Result<()> {
+        fs::rename(&self.path, target).with_context(|| format!("cannot put {} in place", target.display()))
+    }
+}
+
+impl Drop for PartialFolder {
+    fn drop(&mut self) {
+        // After `keep` nothing is left under this name.
+        let _ = fs::remove_dir_all(&self.path);
+    }
+}

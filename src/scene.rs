@@ -1,0 +1,66 @@
+//! The road simulator: labelled frames of drives, for training the lane model and for shifts with a known truth.
+//!
+//! A [`Drive`] is a road, its paint, its surroundings, traffic, light and a camera, all drawn from one seed. Any moment
+//! of it can be rendered at once; the same seed, time and size give the same bytes on every machine and thread. It models
+//! what the lane task needs and nothing else: a road surface of clothoids and hills, boards standing on it, light, lens.
+//!
+//! Data flow: `Road`, `Layout`, `Surroundings`, `Traffic`, `Light` → [`Renderer`] (linear light and depth) → weather →
+//! sensor → 8-bit frame and lane mask.
+//!
+//! Pixel arithmetic converts between integers and floats on every line, inside ranges that the code fixes.
+#![allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)]
+
+mod conditions;
+mod light;
+mod markings;
+mod noise;
+mod projection;
+mod render;
+mod road;
+mod spec;
+mod surroundings;
+mod traffic;
+mod weather;
+
+pub use conditions::{Condition, ConditionError, ConditionKind, Severities, severities_at};
+pub use render::{Labelled, Renderer};
+pub use spec::{DriveSpec, Look, SpecError};
+
+use light::Light;
+use markings::Layout;
+use noise::{Draws, hash};
+use projection::CameraMount;
+use road::Road;
+use surroundings::Surroundings;
+use traffic::Traffic;
+
+/// A drive that can be rendered at any time.
+#[derive(Clone, Debug)]
+pub struct Drive {
+    seed: u32,
+    road: Road,
+    layout: Layout,
+    surroundings: Surroundings,
+    traffic: Traffic,
+    light: Light,
+    camera: CameraMount,
+    conditions: Vec<Condition>,
+}
+
+impl Drive {
+    /// The drive of a look and seed under a list of conditions.
+    pub fn new(look: Look, seed: u64, conditions: &[Condition]) -> Self {
+        let seed = hash((seed >> 32) as u32, seed as u32 as i32, look as i32);
+        let part = |name| Draws(Draws(seed).seed(name));
+        Self {
+            seed,
+            road: Road::new(part("road")),
+            layout: Layout::new(part("layout")),
+            surroundings: Surroundings::new(part("surroundings")),
+            traffic: Traffic::new(part("traffic")),
+            light: Light::new(part("light")),
+            camera: CameraMount::new(part("camera")),
+            conditions: conditions.to_vec(),
+        }
+    }
+}

@@ -1,0 +1,124 @@
+//! The camera: a pinhole behind the windscreen, and which stretch of road each image row sees.
+
+use super::noise::Draws;
+use super::road::{Pose, RoadAhead};
+
+/// How the camera is fixed in the car.
+#[derive(Clone, Copy, Debug)]
+pub struct CameraMount {
+    /// Focal length, share of the picture's width.
+    focal: f32,
+    height_m: f32,
+    pitch: f32,
+    yaw: f32,
+    /// Offset from the car's middle, metres, right positive.
+    pub aside_m: f32,
+}
+
+impl CameraMount {
+    /// The camera of a drive: 52 to 74 degrees of horizontal view, 1.2 to 1.7 m above the road.
+    pub fn new(draws: Draws) -> Self {
+        let half_view = draws.range("half view", 26.0, 37.0).to_radians();
+        Self {
+            focal: 0.5 / libm::tanf(half_view),
+            height_m: draws.range("height", 1.2, 1.7),
+            pitch: draws.range("pitch", -0.05, 0.03),
+            yaw: draws.range("yaw", -0.02, 0.02),
+            aside_m: draws.range("aside", -0.2, 0.2),
+        }
+    }
+
+    /// The projection for a picture of the given size in pixels while the car is at `pose`.
+    pub fn projection(&self, width: usize, height: usize, pose: &Pose) -> Projection {
+        let focal_px = self.focal * width as f32;
+        Projection {
+            focal_px,
+            centre_x: 0.5 * width as f32 - focal_px * self.yaw,
+            horizon_y: 0.45 * height as f32 + focal_px * (self.pitch + pose.pitch),
+            height_m: self.height_m,
+        }
+    }
+}
+
+/// From metres around the car to pixels.
+#[derive(Clone, Copy, Debug)]
+pub struct Projection {
+    /// Focal length, pixels.
+    pub focal_px: f32,
+    /// Column straight ahead.
+    pub centre_x: f32,
+    /// Row of the flat horizon.
+    pub horizon_y: f32,
+    /// Height of the camera above the road, metres.
+    pub height_m: f32,
+}
+
+impl Projection {
+    /// Column of a point `x_m` to the right at distance `z_m`.
+    pub fn column(&self, x_m: f32, z_m: f32) -> f32 {
+        self.centre_x + self.focal_px * x_m / z_m
+    }
+
+    /// Row of a point `rise_m` above the plane the car stands on at distance `z_m`.
+    pub fn row(&self, rise_m: f32, z_m: f32) -> f32 {
+        self.horizon_y + self.focal_px * (self.height_m - rise_m) / z_m
+    }
+}
+
+/// The stretch of road that one image row sees.
+#[derive(Clone, Copy, Debug)]
+pub struct GroundRow {
+    /// Distance, metres.
+    pub z_m: f32,
+    /// Lateral place of the ego lane's middle there, metres.
+    pub lateral_m: f32,
+    /// Length of road the row covers, metres.
+    pub length_m: f32,
+}
+
+/// What each image row sees of the ground (`None` above the horizon), and where hills hide what lies behind them.
+pub struct GroundView {
+    /// One entry an image row, top first.
+    pub rows: Vec<Option<GroundRow>>,
+    /// Distance and the highest row that nearer ground reaches, nearest first.
+    crests: Vec<(f32, f32)>,
+}
+
+impl GroundView {
+    /// Walks the road away from the car; ground that a nearer crest hides is skipped.
+    pub fn new(projection: &Projection, ahead: &RoadAhead, height: usize) -> Self {
+        let mut rows = vec![None; height];
+        let mut crests = Vec::with_capacity(ahead.nodes.len());
+        let mut unseen = height as i32 - 1;
+        let mut top = f32::INFINITY;
+        for pair in ahead.nodes.windows(2) {
+            let (a, b) = (pair[0], pair[1]);
+            if a.z_m < 1.0 {
+                continue;
+            }
+            let (row_a, row_b) = (projection.row(a.rise_m, a.z_m), projection.row(b.rise_m, b.z_m));
+            while unseen >= 0 && unseen as f32 + 0.5 >= row_b {
+                let centre = unseen as f32 + 0.5;
+                let t = ((row_a - centre) / (row_a - row_b).max(1e-6)).clamp(0.0, 1.0);
+                // Rows are even in 1/z inside a step, not in z.
+                let z_m = 1.0 / (1.0 / a.z_m + t * (1.0 / b.z_m - 1.0 / a.z_m));
+                let share = (z_m - a.z_m) / (b.z_m - a.z_m);
+                rows[unseen as usize] = Some(GroundRow {
+                    z_m,
+                    lateral_m: a.lateral_m + share * (b.lateral_m - a.lateral_m),
+                    length_m: (b.z_m - a.z_m) / (row_a - row_b).max(0.05),
+                });
+                unseen -= 1;
+            }
+            top = top.min(row_b);
+            crests.push((b.z_m, top));
+        }
+        Self { rows, crests }
+    }
+
+    /// The row above which something at distance `z_m` can be seen over the ground before it.
+    pub fn crest(&self, z_m: f32) -> f32 {
+        let nearer = self.crests.partition_point(|&(z, _)| z < z_m);
+        nearer.checked_sub(1).map_or(f32::INFINITY, |i| self.crests[i].1)
+    }
+}
