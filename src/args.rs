@@ -2,7 +2,10 @@
 
 use std::path::PathBuf;
 
-use clap::{Args, Parser, Subcommand};
+use clap::{Args, Parser, Subcommand, ValueEnum};
+use gapwatch::calibration::{PaperBinning, Temperature};
+use gapwatch::gap::Metric;
+use gapwatch::model::ModelOptions;
 use gapwatch::scene::Condition;
 
 /// Watches the road through a lane model's own encoder and warns on CAN when it has left the domain the model knows.
@@ -15,7 +18,175 @@ pub struct Cli {
 
 #[derive(Debug, Subcommand)]
 pub enum Command {
+    Replay(ReplayArgs),
+    Calibrate(CalibrateArgs),
+    Compare(CompareArgs),
     Scene(SceneArgs),
+}
+
+/// How sources are named, for the help of every command that takes one.
+const SOURCES: &str = "Sources:
+  scene:sim[?seed=7&seconds=60&fps=10&condition=fog:3@20-40]   rendered drive; severity reached at 20 s, gone at 40 s
+  random:[seed=1&frames=60]                                    random pixels
+  DIR[?fps=10]                                                 folder of PNG or JPEG images in name order
+  FILE                                                         one image, or a video (through ffmpeg)";
+
+/// Run a drive through the monitor, as in the car
+///
+/// Without SOURCE: the built-in drive, 60 s with fog from 20 s to 40 s. One line on standard output for each change of
+/// state.
+#[derive(Debug, Args)]
+#[command(after_help = format!("{SOURCES}\n\nExit code with --check: 0 judged at least 90 % of the time and no gap, 1 gap, \
+    3 could not judge\n\nExample:\n  gapwatch replay 'scene:sim?seed=5&condition=night:3@10-30' --can log:drive.log --journal drive.jsonl"))]
+pub struct ReplayArgs {
+    /// What to look at
+    pub source: Option<String>,
+    /// Reference file; left out = the one inside the program
+    #[arg(long, value_name = "FILE")]
+    pub reference: Option<PathBuf>,
+    #[command(flatten)]
+    pub model: ModelArgs,
+    /// Where CAN frames go: log:FILE (candump format), log:- or none
+    #[arg(long, value_name = "SINK", default_value = "none")]
+    pub can: String,
+    /// Journal to write, JSON lines
+    #[arg(long, value_name = "FILE")]
+    pub journal: Option<PathBuf>,
+    /// Pace of the drive
+    #[arg(long, value_enum, default_value = "max")]
+    pub speed: Speed,
+    /// Let the exit code say what was found
+    #[arg(long)]
+    pub check: bool,
+}
+
+/// Pace of a replay.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Speed {
+    /// As fast as the drive was
+    Realtime,
+    /// As fast as the computer can
+    Max,
+}
+
+/// Make a reference from nominal drives or simulator images
+///
+/// With several sources every second one is held out to scale the gaps; of a single one, its last third. A rendered
+/// drive with seed=A..B stands for one drive a seed.
+#[derive(Debug, Args)]
+#[command(after_help = format!("{SOURCES}\n\nExample:\n  gapwatch calibrate --sim town01 town02 --model lane.onnx --taps e2,e3,e4 \
+    --size 800x288 --mean 0.36,0.37,0.37 --std 0.26,0.27,0.28 --out town.json"))]
+pub struct CalibrateArgs {
+    /// Nominal sources; each is one drive
+    #[arg(long, value_name = "SOURCE", num_args = 1.., required = true)]
+    pub sim: Vec<String>,
+    /// How gaps are measured
+    #[arg(long, value_name = "NAME", default_value = "log-energy-js")]
+    pub metric: Metric,
+    /// Length of the detector's window, seconds
+    #[arg(long, value_name = "SECONDS", default_value_t = 1.0, value_parser = seconds)]
+    pub window: f64,
+    #[command(flatten)]
+    pub model: ModelArgs,
+    /// Reference file to write
+    #[arg(long, value_name = "FILE")]
+    pub out: PathBuf,
+}
+
+/// Compare image sets: the first is the reference for the others
+#[derive(Debug, Args)]
+#[command(after_help = format!("{SOURCES}\n\nThe metric paper is a correlation (1 = alike), the others are divergences in bits \
+    (0 = alike).\n\nExample:\n  gapwatch compare town01 town05 highway 'random:' --metric all --format csv"))]
+pub struct CompareArgs {
+    /// The reference, then the sets to compare with it
+    #[arg(value_name = "SOURCE", required = true, num_args = 2..)]
+    pub sources: Vec<String>,
+    /// Metric, or all
+    #[arg(long, value_name = "NAME|all", default_value = "all", value_parser = metrics)]
+    pub metric: Metrics,
+    /// Temperature of the metric paper: energy units, or times the reference's median peak energy as in 0.2peak
+    #[arg(long, value_name = "T", default_value = "10", value_parser = temperature)]
+    pub temperature: Temperature,
+    /// Levels of the metric paper's histogram
+    #[arg(long, value_name = "N", default_value_t = PaperBinning::PUBLISHED.levels)]
+    pub levels: usize,
+    /// First level that the metric paper counts
+    #[arg(long, value_name = "N", default_value_t = PaperBinning::PUBLISHED.first)]
+    pub first_level: usize,
+    #[command(flatten)]
+    pub model: ModelArgs,
+    /// How the result is written
+    #[arg(long, value_enum, default_value = "table")]
+    pub format: Format,
+    /// Also write every histogram to this file, JSON
+    #[arg(long, value_name = "FILE")]
+    pub histograms: Option<PathBuf>,
+}
+
+/// How a table is written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Format {
+    Table,
+    Json,
+    Csv,
+}
+
+/// The metrics asked for.
+#[derive(Clone, Debug)]
+pub struct Metrics(pub Vec<Metric>);
+
+/// The model, if not the built-in one
+#[derive(Debug, Args)]
+#[command(next_help_heading = "Model")]
+pub struct ModelArgs {
+    /// ONNX file of an encoder; options left out are read from a .toml of the same name beside it
+    #[arg(long, value_name = "FILE.onnx")]
+    pub model: Option<PathBuf>,
+    /// Names of one to three tapped values
+    #[arg(long, value_name = "A,B,C", value_delimiter = ',')]
+    pub taps: Option<Vec<String>>,
+    /// Input size, pixels
+    #[arg(long = "size", id = "model-size", value_name = "WxH")]
+    pub size: Option<String>,
+    /// Mean of red, green, blue, of values 0..1
+    #[arg(long, value_name = "R,G,B", value_parser = numbers::<f32, 3>)]
+    pub mean: Option<[f32; 3]>,
+    /// Standard deviation of red, green, blue, of values 0..1
+    #[arg(long, value_name = "R,G,B", value_parser = numbers::<f32, 3>)]
+    pub std: Option<[f32; 3]>,
+    /// Part of the picture used, as shares of it
+    #[arg(long, value_name = "LEFT,TOP,WIDTH,HEIGHT", value_parser = numbers::<f64, 4>)]
+    pub crop: Option<[f64; 4]>,
+}
+
+impl ModelArgs {
+    /// The options without the file.
+    pub fn options(&self) -> ModelOptions {
+        ModelOptions { taps: self.taps.clone(), size: self.size.clone(), mean: self.mean, std: self.std, crop: self.crop }
+    }
+}
+
+fn numbers<T: std::str::FromStr, const N: usize>(text: &str) -> Result<[T; N], String> {
+    let numbers: Option<Vec<T>> = text.split(',').map(|number| number.trim().parse().ok()).collect();
+    numbers.and_then(|numbers| numbers.try_into().ok()).ok_or_else(|| format!("wanted {N} numbers between commas"))
+}
+
+fn seconds(text: &str) -> Result<f64, String> {
+    let seconds = text.parse().ok().filter(|s| (0.05..=60.0).contains(s));
+    seconds.ok_or_else(|| "wanted seconds from 0.05 to 60".to_owned())
+}
+
+fn metrics(text: &str) -> Result<Metrics, String> {
+    if text == "all" { Ok(Metrics(Metric::ALL.to_vec())) } else { text.parse().map(|metric| Metrics(vec![metric])) }
+}
+
+fn temperature(text: &str) -> Result<Temperature, String> {
+    let positive = |number: &str| number.parse::<f64>().ok().filter(|t| t.is_normal() && *t > 0.0);
+    match text.strip_suffix("peak") {
+        Some(share) => positive(share).map(Temperature::OfPeak),
+        None => positive(text).map(Temperature::Absolute),
+    }
+    .ok_or_else(|| "wanted a temperature above 0, as in 10 or 0.2peak".to_owned())
 }
 
 /// Render labelled scenes of the road simulator

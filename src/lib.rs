@@ -1,3 +1,39 @@
-#![doc = "gapwatch watches the road through a lane model's own encoder."]
+//! gapwatch watches the road through a lane model's own encoder and says when it no longer looks like the simulation
+//! that the model was trained in.
+//!
+//! What happens to a frame, one file a step:
+//!
+//! ```text
+//! Frame            picture [H, W, 3] of 8 bits, sequence, time              frame (from scene/ when rendered)
+//!   -> input       [3, h, w] floats, resized and normalised                 preprocess
+//!   -> FeatureMap  [C, h', w'] activations of each tapped block             encoder, of a model
+//!   -> EnergyMap   [h', w'] sum of squares over channels, at a common size  attention
+//!   -> counts      [bins] pixels                                            histogram
+//!   -> gap         of a window's counts against a Reference                 gap, reference, detector
+//!   -> score       0 nominal, 1 alarm threshold                             detector
+//!   -> AlarmState  Init, Ok, Suspect, Gap, SensorFault, Unavailable         alarm
+//!   -> GapStatus   8 bytes with counter and CRC                             can
+//! ```
+//!
+//! [`pipeline::Monitor::step`] is that chain. What cannot be judged is [`undefined::Undefined`], never a number, and the
+//! car is told `Unavailable` or `SensorFault`, never `Ok`.
 
+pub mod alarm;
+pub mod attention;
+pub mod calibration;
+pub mod can;
+pub mod detector;
+pub mod encoder;
+pub mod frame;
+pub mod gap;
+pub mod health;
+pub mod histogram;
+pub mod journal;
+pub mod model;
+pub mod pipeline;
+pub mod preprocess;
+pub mod reference;
 pub mod scene;
+pub mod survey;
+pub mod undefined;
+pub mod whole_file;

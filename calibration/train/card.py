@@ -119,8 +119,8 @@ Rendered by `gapwatch scene`, program SHA-256 `{self.program_sha256}`.
 |---|---|---|---|
 {sets}
 
-Validation scenes gave the progress lines and the point where lane begins ({self.lane_logit:+.2f}
-taken off the logits); test scenes were used once, for the table above.
+Validation scenes gave the progress lines and the point where lane begins (the head's last
+bias was moved by {-self.lane_logit:+.2f} so that it lies at a logit of 0); test scenes were used once, for the table above.
 
 ## Training
 

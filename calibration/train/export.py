@@ -11,6 +11,7 @@ import onnx
 import onnxruntime
 import torch
 from numpy.typing import NDArray
+from onnx.reference import ReferenceEvaluator
 
 from evaluation import Predict
 from network import TAPS, ExportedNetwork, LaneNetwork, fold_batch_norms
@@ -58,6 +59,7 @@ def export(network: LaneNetwork, size: Size, file: Path) -> None:
             output_names=list(OUTPUTS),
         )
     model = onnx.load(str(file))
+    _fold_constants(model)
     _tidy_names(model.graph)
     onnx.checker.check_model(model, full_check=True)
     kinds = {node.op_type for node in model.graph.node}
@@ -78,7 +80,8 @@ def prediction_of_file(file: Path, threads: int) -> Predict:
     )
 
     def predict(inputs: NDArray[np.float32]) -> tuple[NDArray[np.float32], dict[str, NDArray]]:
-        answers = [session.run(list(OUTPUTS), {"image": inputs[i : i + 1]}) for i in range(len(inputs))]
+        images = (inputs[i : i + 1] for i in range(len(inputs)))
+        answers = [session.run(list(OUTPUTS), {"image": image}) for image in images]
         lane, *taps = (np.concatenate(parts) for parts in zip(*answers, strict=True))
         return lane, dict(zip(TAPS, taps, strict=True))
 
@@ -106,6 +109,40 @@ def compare(trained: Predict, exported: Predict, inputs: NDArray[np.float32]) ->
     if agreement.worst() >= TOLERANCE:
         raise ExportError(f"the exported file differs from PyTorch: {relative}")
     return agreement
+
+
+def _fold_constants(model: onnx.ModelProto) -> None:
+    """Turns every tensor that does not depend on the image into a stored one (paddings, scales)."""
+    graph = model.graph
+    stored = {initializer.name for initializer in graph.initializer}
+    fixed: list[onnx.NodeProto] = []
+    live: list[onnx.NodeProto] = []
+    known = set(stored)
+    for node in graph.node:
+        if all(name in known or not name for name in node.input):
+            fixed.append(node)
+            known.update(node.output)
+        else:
+            live.append(node)
+    used = {name for node in live for name in node.input}
+    wanted = [name for node in fixed for name in node.output if name in used]
+    if wanted:
+        outputs = [onnx.ValueInfoProto(name=name) for name in wanted]
+        part = onnx.helper.make_graph(fixed, "fixed", [], outputs, list(graph.initializer))
+        part_model = onnx.helper.make_model(
+            part, opset_imports=model.opset_import, ir_version=model.ir_version
+        )
+        values = ReferenceEvaluator(part_model).run(wanted, {})
+        for name, value in zip(wanted, values, strict=True):
+            graph.initializer.append(onnx.numpy_helper.from_array(np.asarray(value), name))
+    for node in live:
+        while node.input and not node.input[-1]:
+            node.input.pop()
+    del graph.node[:]
+    graph.node.extend(live)
+    kept = [initializer for initializer in graph.initializer if initializer.name in used]
+    del graph.initializer[:]
+    graph.initializer.extend(kept)
 
 
 def _tidy_names(graph: onnx.GraphProto) -> None:

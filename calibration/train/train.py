@@ -291,7 +291,7 @@ def train(
 ) -> Trained:
     """Trains in place, for `args.epochs` or `args.minutes`; one line an epoch."""
     dice = np.random.default_rng(args.seed)
-    optimiser = torch.optim.AdamW(network.parameters(), weight_decay=WEIGHT_DECAY)
+    optimiser = torch.optim.AdamW(network.parameters(), weight_decay=WEIGHT_DECAY, fused=True)
     total_steps = args.epochs * max(len(training) // args.batch, 1)
     began = time.monotonic()
 

@@ -1,0 +1,344 @@
+//! Evidence over time → what the car is told.
+//!
+//! ```text
+//!            verdict for one window                     score >= 1
+//!   Init ------------------------------> Ok <--------------------------> Suspect
+//!                                        ^    counter back at 0, or 3 s     |
+//!                                        |                                  | counter reaches 127
+//!                                        +-------------- Gap <--------------+
+//!                                        counter back at 0
+//!
+//!   any --- no verdict for 500 ms ---> Unavailable, or SensorFault when the picture itself is at fault
+//!   Unavailable, SensorFault --- a verdict ---> where the counter says: Gap, Suspect or Ok
+//! ```
+//!
+//! The fault detection counter follows AUTOSAR's diagnostic event manager (Dem, counter-based debouncing with jump-up),
+//! but moves with elapsed time, so that the reaction does not depend on the frame rate. "Cannot judge" never reads as
+//! "no gap": while nothing can be judged the counter stands still, and after 500 ms the state says so.
+
+use std::time::Duration;
+
+use crate::undefined::Undefined;
+
+/// Seconds of continuous evidence from 0 to the counter's upper end: a gap.
+const UP_S: f64 = 1.0;
+/// Seconds without evidence from the upper end back to 0, and again from 0 to the lower end.
+const DOWN_S: f64 = 2.0;
+/// Time without a verdict after which the state says that there is none.
+const STALE: Duration = Duration::from_millis(500);
+/// Longest stay in `Suspect`.
+const SUSPECT_MAX: Duration = Duration::from_secs(3);
+/// Longest time that one frame moves the counter: evidence does not reach across a hole.
+const STEP_MAX: Duration = Duration::from_secs(1);
+
+const COUNTER_MAX: f64 = 127.0;
+const COUNTER_MIN: f64 = -128.0;
+
+/// What the car is told.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum AlarmState {
+    /// Too little seen yet.
+    Init,
+    /// The road looks like the domain the model knows.
+    Ok,
+    /// It may have left the domain; being debounced.
+    Suspect,
+    /// It has left the domain.
+    Gap,
+    /// The camera shows nothing that a scene could make.
+    SensorFault,
+    /// There is no verdict, for another reason than the camera.
+    Unavailable,
+}
+
+impl AlarmState {
+    /// The name used everywhere.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Init => "Init",
+            Self::Ok => "Ok",
+            Self::Suspect => "Suspect",
+            Self::Gap => "Gap",
+            Self::SensorFault => "SensorFault",
+            Self::Unavailable => "Unavailable",
+        }
+    }
+}
+
+/// Why the state is what it is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Reason {
+    /// Nothing to explain.
+    None,
+    /// The first window is not full.
+    Starting,
+    /// The short window is beyond its threshold.
+    Abrupt,
+    /// The picture is black.
+    Black,
+    /// The picture has one colour.
+    Uniform,
+    /// The picture is too small to judge.
+    TooSmall,
+    /// The picture cannot be read.
+    Corrupt,
+    /// The frame has no gap: undefined activations or histograms.
+    Undefined,
+}
+
+impl Reason {
+    /// The name used in journals and messages.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::None => "none",
+            Self::Starting => "starting",
+            Self::Abrupt => "abrupt",
+            Self::Black => "black",
+            Self::Uniform => "uniform",
+            Self::TooSmall => "too-small",
+            Self::Corrupt => "corrupt",
+            Self::Undefined => "undefined",
+        }
+    }
+
+    /// Whether the camera is to blame.
+    fn is_sensor_fault(self) -> bool {
+        matches!(self, Self::Black | Self::Uniform | Self::Corrupt)
+    }
+}
+
+impl From<&Undefined> for Reason {
+    fn from(why: &Undefined) -> Self {
+        match why {
+            Undefined::Black => Self::Black,
+            Undefined::Uniform => Self::Uniform,
+            Undefined::TooSmall { .. } => Self::TooSmall,
+            Undefined::Corrupt(_) => Self::Corrupt,
+            _ => Self::Undefined,
+        }
+    }
+}
+
+/// What a frame contributes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Judgement {
+    /// A score: at least 1 is evidence of a gap.
+    Score {
+        /// 0 nominal, 1 alarm threshold.
+        score: f64,
+        /// The detector has looked for at least one window's length.
+        settled: bool,
+    },
+    /// No verdict.
+    Cannot(Reason),
+}
+
+/// Debounces scores into a state. Time comes from the caller.
+#[derive(Clone, Debug)]
+pub struct Alarm {
+    state: AlarmState,
+    reason: Reason,
+    counter: f64,
+    in_gap: bool,
+    gap_stored: bool,
+    settled: bool,
+    last_judged: Option<Duration>,
+    suspect_since: Option<Duration>,
+}
+
+impl Default for Alarm {
+    fn default() -> Self {
+        Self {
+            state: AlarmState::Init,
+            reason: Reason::Starting,
+            counter: 0.0,
+            in_gap: false,
+            gap_stored: false,
+            settled: false,
+            last_judged: None,
+            suspect_since: None,
+        }
+    }
+}
+
+impl Alarm {
+    /// The state now.
+    pub fn state(&self) -> AlarmState {
+        self.state
+    }
+
+    /// Why.
+    pub fn reason(&self) -> Reason {
+        self.reason
+    }
+
+    /// Fault detection counter, -128 (long without evidence) to 127 (gap).
+    #[allow(clippy::cast_possible_truncation)]
+    pub fn fault_detection_counter(&self) -> i8 {
+        self.counter.clamp(COUNTER_MIN, COUNTER_MAX) as i8
+    }
+
+    /// A gap was reported since the start.
+    pub fn gap_stored(&self) -> bool {
+        self.gap_stored
+    }
+
+    /// Takes a frame's judgement at time `now`, which never goes back.
+    pub fn step(&mut self, now: Duration, judgement: Judgement) {
+        match judgement {
+            Judgement::Score { score, settled } => self.judged(now, score >= 1.0, settled),
+            Judgement::Cannot(reason) => self.not_judged(now, reason),
+        }
+    }
+
+    fn judged(&mut self, now: Duration, evidence: bool, settled: bool) {
+        let since = self.last_judged.map_or(Duration::ZERO, |last| now.saturating_sub(last)).min(STEP_MAX);
+        self.last_judged = Some(now);
+        self.settled |= settled;
+        if !self.settled {
+            (self.state, self.reason) = (AlarmState::Init, Reason::Starting);
+            return;
+        }
+        self.counter = if evidence {
+            (self.counter.max(0.0) + COUNTER_MAX * since.as_secs_f64() / UP_S).min(COUNTER_MAX)
+        } else {
+            (self.counter - COUNTER_MAX * since.as_secs_f64() / DOWN_S).max(COUNTER_MIN)
+        };
+        if self.counter >= COUNTER_MAX {
+            (self.in_gap, self.gap_stored) = (true, true);
+        } else if self.counter <= 0.0 {
+            self.in_gap = false;
+            self.suspect_since = None;
+        }
+        if self.counter > 0.0 && !self.in_gap {
+            self.suspect_since.get_or_insert(now);
+        }
+        (self.state, self.reason) = match self.suspect_since {
+            _ if self.in_gap => (AlarmState::Gap, Reason::Abrupt),
+            Some(since) if now.saturating_sub(since) <= SUSPECT_MAX => (AlarmState::Suspect, Reason::Abrupt),
+            _ => (AlarmState::Ok, Reason::None),
+        };
+    }
+
+    fn not_judged(&mut self, now: Duration, reason: Reason) {
+        let since = *self.last_judged.get_or_insert(now);
+        if now.saturating_sub(since) < STALE {
+            return;
+        }
+        self.state = if reason.is_sensor_fault() { AlarmState::SensorFault } else { AlarmState::Unavailable };
+        self.reason = reason;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Runs scores at a frame rate; `None` = cannot judge. Returns the changes of state with their times in ms.
+    fn changes(fps: u32, days: &[(f64, Option<f64>)]) -> Vec<(u128, AlarmState)> {
+        let mut alarm = Alarm::default();
+        let mut seen = vec![];
+        let mut frame = 0;
+        let mut until = 0.0;
+        for &(seconds, score) in days {
+            until += seconds;
+            while f64::from(frame) / f64::from(fps) < until - 1e-9 {
+                let now = Duration::from_secs(frame.into()) / fps;
+                let judgement = match score {
+                    Some(score) => Judgement::Score { score, settled: now >= Duration::from_secs(1) },
+                    None => Judgement::Cannot(Reason::Black),
+                };
+                alarm.step(now, judgement);
+                if seen.last().is_none_or(|&(_, state)| state != alarm.state()) {
+                    seen.push((now.as_millis(), alarm.state()));
+                }
+                frame += 1;
+            }
+        }
+        seen
+    }
+
+    #[test]
+    fn a_clear_road_is_ok_and_stays_so() {
+        assert_eq!(changes(10, &[(60.0, Some(0.4))]), [(0, AlarmState::Init), (1_000, AlarmState::Ok)]);
+    }
+
+    #[test]
+    fn a_gap_is_reported_after_a_second_and_ends_two_seconds_after_the_evidence_at_any_frame_rate() {
+        for fps in [5, 10, 30, 50] {
+            let seen = changes(fps, &[(5.0, Some(0.1)), (5.0, Some(2.0)), (10.0, Some(0.1))]);
+            let states: Vec<AlarmState> = seen.iter().map(|&(_, state)| state).collect();
+            assert_eq!(
+                states,
+                [AlarmState::Init, AlarmState::Ok, AlarmState::Suspect, AlarmState::Gap, AlarmState::Ok],
+                "{fps} frames/s"
+            );
+            let (gap, ok) = (seen[3].0, seen[4].0);
+            assert!((5_700..=6_000).contains(&gap), "{fps} frames/s: Gap at {gap} ms");
+            assert!((11_700..=12_050).contains(&ok), "{fps} frames/s: Ok at {ok} ms");
+        }
+    }
+
+    #[test]
+    fn a_short_flicker_is_suspect_but_no_gap() {
+        let seen = changes(10, &[(5.0, Some(0.1)), (0.4, Some(3.0)), (10.0, Some(0.1))]);
+        assert!(seen.iter().all(|&(_, state)| state != AlarmState::Gap), "{seen:?}");
+        assert!(seen.iter().any(|&(_, state)| state == AlarmState::Suspect));
+    }
+
+    #[test]
+    fn suspicion_lasts_three_seconds_at_most() {
+        // Evidence in every third frame: the counter hovers above 0 and never reaches its end.
+        let mut alarm = Alarm::default();
+        let mut longest = 0;
+        let mut run = 0;
+        for frame in 0..600_u32 {
+            let score = if frame > 20 && frame % 3 == 0 { 2.0 } else { 0.0 };
+            alarm.step(Duration::from_millis(100) * frame, Judgement::Score { score, settled: frame > 10 });
+            run = if alarm.state() == AlarmState::Suspect { run + 1 } else { 0 };
+            longest = longest.max(run);
+            assert_ne!(alarm.state(), AlarmState::Gap);
+        }
+        assert!((1..=31).contains(&longest), "{longest} frames of 100 ms");
+    }
+
+    #[test]
+    fn what_cannot_be_judged_is_never_ok() {
+        let seen = changes(10, &[(5.0, Some(0.1)), (5.0, None), (5.0, Some(0.1))]);
+        assert_eq!(
+            seen,
+            [
+                (0, AlarmState::Init),
+                (1_000, AlarmState::Ok),
+                (5_400, AlarmState::SensorFault),
+                (10_000, AlarmState::Ok)
+            ]
+        );
+    }
+
+    #[test]
+    fn a_gap_is_remembered_through_a_blind_moment_and_stored_after_it() {
+        let mut alarm = Alarm::default();
+        let mut step = |tenth: u32, judgement| {
+            alarm.step(Duration::from_millis(100) * tenth, judgement);
+            (alarm.state(), alarm.gap_stored())
+        };
+        for tenth in 0..40 {
+            step(tenth, Judgement::Score { score: 5.0, settled: true });
+        }
+        for tenth in 40..60 {
+            step(tenth, Judgement::Cannot(Reason::Undefined));
+        }
+        assert_eq!(step(60, Judgement::Cannot(Reason::Undefined)), (AlarmState::Unavailable, true));
+        assert_eq!(step(61, Judgement::Score { score: 5.0, settled: true }), (AlarmState::Gap, true));
+        for tenth in 62..120 {
+            step(tenth, Judgement::Score { score: 0.0, settled: true });
+        }
+        assert_eq!(step(120, Judgement::Score { score: 0.0, settled: true }), (AlarmState::Ok, true));
+    }
+
+    #[test]
+    fn blind_from_the_start_is_not_init_for_ever() {
+        assert_eq!(changes(10, &[(5.0, None)]), [(0, AlarmState::Init), (500, AlarmState::SensorFault)]);
+    }
+}

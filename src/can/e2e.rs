@@ -1,0 +1,248 @@
+//! End-to-end protection of the frames: AUTOSAR E2E profile 11, data id mode BOTH.
+//!
+//! Byte 0 is a CRC-8 (polynomial 0x1D, start 0x00, xor 0x00) over data id low byte, data id high
+//! byte and bytes 1 to 7; the low nibble of byte 1 is a counter that runs 0 to 14. The bytes are
+//! those of profile 1 as well. Owns the counters. Refuses to watch for silence: a receiver that
+//! hears nothing must see that for itself.
+
+use autosar_e2e::profile11::{Profile11, Profile11Config, Profile11IdMode};
+use autosar_e2e::{E2EProfile, E2EStatus};
+use thiserror::Error;
+
+/// Largest counter; the next one is 0, and 15 is invalid.
+pub const LARGEST_COUNTER: u8 = 14;
+
+/// Largest step of the counter that a receiver accepts: two frames in a row may be lost. Our own
+/// choice, the standard leaves it open.
+pub const LARGEST_STEP: u8 = 3;
+
+fn profile(data_id: u16) -> Profile11 {
+    Profile11::new(Profile11Config {
+        mode: Profile11IdMode::Both,
+        data_id,
+        crc_offset: 0,
+        counter_offset: 8,
+        data_length: 64,
+        ..Profile11Config::default()
+    })
+    .expect("a layout that profile 11 allows")
+}
+
+/// Protects the frames of one message.
+#[derive(Clone)]
+pub struct E2eSender {
+    profile: Profile11,
+}
+
+impl E2eSender {
+    /// The first frame has the counter 0.
+    pub fn new(data_id: u16) -> Self {
+        Self {
+            profile: profile(data_id),
+        }
+    }
+
+    /// Writes counter and CRC into `data` and offers it to `send`. The counter moves on only when
+    /// `send` takes the bytes, so a receiver sees no hole where a write failed.
+    ///
+    /// # Errors
+    /// What `send` answers.
+    pub fn protect<E>(
+        &mut self,
+        mut data: [u8; 8],
+        send: impl FnOnce([u8; 8]) -> Result<(), E>,
+    ) -> Result<(), E> {
+        let mut next = self.profile.clone();
+        next.protect(&mut data).expect("a frame of 8 bytes");
+        send(data)?;
+        self.profile = next;
+        Ok(())
+    }
+}
+
+/// How an accepted frame follows the one before.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Sequence {
+    /// The first one heard.
+    First,
+    /// The next one.
+    Next,
+    /// Up to [`LARGEST_STEP`] - 1 frames are missing before it.
+    SomeLost,
+}
+
+/// Why a frame is refused.
+#[derive(Clone, Copy, Debug, Error, PartialEq, Eq)]
+pub enum E2eError {
+    /// The CRC does not fit: damaged, or another message.
+    #[error("the CRC does not fit the frame and its data id")]
+    Corrupt,
+    /// The counter is 15.
+    #[error("the counter is 15, which is invalid")]
+    InvalidCounter,
+    /// The counter has not moved.
+    #[error("the counter {0} came twice")]
+    Repeated(u8),
+    /// The counter jumped by more than [`LARGEST_STEP`].
+    #[error("the counter jumped from {from} to {to}")]
+    WrongSequence {
+        /// Counter of the frame before.
+        from: u8,
+        /// Counter of this frame.
+        to: u8,
+    },
+}
+
+/// Checks the frames of one message.
+#[derive(Clone)]
+pub struct E2eReceiver {
+    profile: Profile11,
+    last: Option<u8>,
+}
+
+impl E2eReceiver {
+    /// Accepts any valid counter in the first frame.
+    pub fn new(data_id: u16) -> Self {
+        Self {
+            profile: profile(data_id),
+            last: None,
+        }
+    }
+
+    /// Checks one received frame.
+    ///
+    /// # Errors
+    /// An [`E2eError`]; the frame is then to be ignored. After a jump the next frame in sequence
+    /// is accepted again.
+    pub fn check(&mut self, data: &[u8; 8]) -> Result<Sequence, E2eError> {
+        if self.profile.check(data) == Ok(E2EStatus::CrcError) {
+            return Err(E2eError::Corrupt);
+        }
+        // The counter is judged here: the crate takes 15 for a number like any other, and a
+        // receiver that joins in the middle for one that has missed frames since 0.
+        let to = data[1] & 0x0F;
+        if to > LARGEST_COUNTER {
+            return Err(E2eError::InvalidCounter);
+        }
+        let Some(from) = self.last.replace(to) else {
+            return Ok(Sequence::First);
+        };
+        match (to + LARGEST_COUNTER + 1 - from) % (LARGEST_COUNTER + 1) {
+            0 => Err(E2eError::Repeated(to)),
+            1 => Ok(Sequence::Next),
+            step if step <= LARGEST_STEP => Ok(Sequence::SomeLost),
+            _ => Err(E2eError::WrongSequence { from, to }),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+    use std::convert::Infallible;
+
+    fn protect(sender: &mut E2eSender, data: [u8; 8]) -> [u8; 8] {
+        let mut sent = data;
+        sender
+            .protect(data, |data| {
+                sent = data;
+                Ok::<(), Infallible>(())
+            })
+            .unwrap();
+        sent
+    }
+
+    /// `count` protected frames with the counters 0, 1, ...
+    fn frames(count: usize) -> Vec<[u8; 8]> {
+        let mut sender = E2eSender::new(0x123);
+        (0..count)
+            .map(|_| protect(&mut sender, [0, 0xA0, 1, 2, 3, 4, 5, 6]))
+            .collect()
+    }
+
+    #[test]
+    fn check_vectors_of_profile_11_are_met() {
+        // Computed with the Python package autosar-e2e: data id 0x123, mode BOTH, zero bytes.
+        let mut sender = E2eSender::new(0x123);
+        assert_eq!(protect(&mut sender, [0; 8])[..2], [0xCC, 0x00]);
+        assert_eq!(protect(&mut sender, [0; 8])[..2], [0x91, 0x01]);
+    }
+
+    #[test]
+    fn counter_runs_from_0_to_14_and_leaves_the_high_nibble_alone() {
+        let bytes: Vec<u8> = frames(17).iter().map(|data| data[1]).collect();
+        let wanted: Vec<u8> = (0xA0..=0xAE).chain([0xA0, 0xA1]).collect();
+        assert_eq!(bytes, wanted);
+    }
+
+    #[test]
+    fn refused_write_keeps_the_counter() {
+        let mut sender = E2eSender::new(0x123);
+        protect(&mut sender, [0; 8]);
+        let mut offered = [0; 8];
+        let refused = sender.protect([0; 8], |data| {
+            offered = data;
+            Err("bus full")
+        });
+        assert_eq!(refused, Err("bus full"));
+        assert_eq!(protect(&mut sender, [0; 8]), offered);
+        assert_eq!(offered[1], 1);
+    }
+
+    #[test]
+    fn frames_in_sequence_are_accepted_over_the_wrap() {
+        let mut receiver = E2eReceiver::new(0x123);
+        for (n, data) in frames(40).iter().enumerate() {
+            let wanted = if n == 0 {
+                Sequence::First
+            } else {
+                Sequence::Next
+            };
+            assert_eq!(receiver.check(data), Ok(wanted));
+        }
+    }
+
+    #[test]
+    fn one_flipped_bit_in_any_position_is_refused() {
+        for good in frames(15) {
+            for bit in 0..64 {
+                let mut data = good;
+                data[bit / 8] ^= 1 << (bit % 8);
+                let mut receiver = E2eReceiver::new(0x123);
+                assert_eq!(receiver.check(&data), Err(E2eError::Corrupt), "bit {bit}");
+            }
+        }
+    }
+
+    #[test]
+    fn another_data_id_is_refused() {
+        let data = frames(1)[0];
+        for data_id in [0x122, 0x023, 0x5D0] {
+            let mut receiver = E2eReceiver::new(data_id);
+            assert_eq!(receiver.check(&data), Err(E2eError::Corrupt));
+        }
+    }
+
+    #[test]
+    fn receiver_may_join_anywhere_and_counts_lost_frames() {
+        let frames = frames(20);
+        let mut receiver = E2eReceiver::new(0x123);
+        assert_eq!(receiver.check(&frames[9]), Ok(Sequence::First));
+        assert_eq!(receiver.check(&frames[9]), Err(E2eError::Repeated(9)));
+        assert_eq!(receiver.check(&frames[12]), Ok(Sequence::SomeLost));
+        assert_eq!(
+            receiver.check(&frames[16]),
+            Err(E2eError::WrongSequence { from: 12, to: 1 })
+        );
+        assert_eq!(receiver.check(&frames[17]), Ok(Sequence::Next));
+    }
+
+    #[test]
+    fn counter_15_is_refused() {
+        // CRC of data id 0x123 with the bytes 0F 00 00 00 00 00 00.
+        let data = [0x90, 0x0F, 0, 0, 0, 0, 0, 0];
+        let mut receiver = E2eReceiver::new(0x123);
+        assert_eq!(receiver.check(&data), Err(E2eError::InvalidCounter));
+    }
+}

@@ -1,0 +1,182 @@
+//! A log in the place of a bus: candump log format, one frame a line.
+//!
+//! `(0000000012.300000) can0 5D0#0011223344556677`, the time being that of the drive in seconds.
+//! Owns the lines. Refuses to leave half a log behind: the file appears when it is finished.
+
+use std::io::{self, Write};
+use std::path::Path;
+use std::time::Duration;
+
+use super::{CanFrame, SinkError, WarningSink};
+use crate::whole_file::WholeFile;
+
+/// Name of the interface in the log.
+pub const INTERFACE: &str = "can0";
+
+/// Writes frames in candump log format.
+pub struct LogSink {
+    /// As the user gave it, for messages.
+    name: String,
+    out: Out,
+}
+
+enum Out {
+    Stream(Box<dyn Write>),
+    File(WholeFile),
+}
+
+impl LogSink {
+    /// Writes to `out`; `name` is used in error messages.
+    pub fn stream(name: &str, out: impl Write + 'static) -> Self {
+        Self {
+            name: name.to_owned(),
+            out: Out::Stream(Box::new(out)),
+        }
+    }
+
+    /// Writes to a file that is put in place by [`WarningSink::finish`], instead of the one that
+    /// may be there.
+    ///
+    /// # Errors
+    /// [`SinkError::Open`] when `path` cannot be written.
+    pub fn create(path: &Path) -> Result<Self, SinkError> {
+        let name = path.display().to_string();
+        match WholeFile::create(path) {
+            Ok(file) => Ok(Self {
+                name,
+                out: Out::File(file),
+            }),
+            Err(source) => Err(SinkError::Open { sink: name, source }),
+        }
+    }
+}
+
+impl WarningSink for LogSink {
+    fn send(&mut self, at: Duration, frame: &CanFrame) -> Result<(), SinkError> {
+        let out: &mut dyn Write = match &mut self.out {
+            Out::Stream(out) => out,
+            Out::File(file) => file,
+        };
+        write_line(out, at, frame).map_err(|source| SinkError::Write {
+            sink: self.name.clone(),
+            source,
+        })
+    }
+
+    fn finish(self: Box<Self>) -> Result<(), SinkError> {
+        let Self { name, out } = *self;
+        let finished = match out {
+            Out::Stream(mut out) => out.flush(),
+            Out::File(file) => file.finish(),
+        };
+        finished.map_err(|source| SinkError::Finish { sink: name, source })
+    }
+}
+
+fn write_line(out: &mut dyn Write, at: Duration, frame: &CanFrame) -> io::Result<()> {
+    let data = u64::from_be_bytes(frame.data);
+    writeln!(
+        out,
+        "({:010}.{:06}) {INTERFACE} {:03X}#{data:016X}",
+        at.as_secs(),
+        at.subsec_micros(),
+        frame.id,
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+    use std::fs;
+    use std::io::ErrorKind;
+    use tempfile::TempDir;
+
+    const FRAME: CanFrame = CanFrame {
+        id: 0x5D0,
+        data: [0x00, 0x11, 0x22, 0x33, 0x44, 0x55, 0x66, 0x77],
+    };
+    const LINE: &str = "(0000000012.300000) can0 5D0#0011223344556677\n";
+
+    fn send(sink: &mut LogSink) {
+        sink.send(Duration::from_millis(12_300), &FRAME).unwrap();
+    }
+
+    fn names_in(folder: &TempDir) -> Vec<String> {
+        let mut names: Vec<String> = fs::read_dir(folder)
+            .unwrap()
+            .map(|entry| entry.unwrap().file_name().into_string().unwrap())
+            .collect();
+        names.sort();
+        names
+    }
+
+    #[test]
+    fn line_is_that_of_candump() {
+        let mut line = Vec::new();
+        write_line(&mut line, Duration::from_millis(12_300), &FRAME).unwrap();
+        assert_eq!(String::from_utf8(line).unwrap(), LINE);
+
+        let frame = CanFrame {
+            id: 0x01F,
+            data: [0xFF; 8],
+        };
+        let mut line = Vec::new();
+        write_line(&mut line, Duration::from_nanos(1_999), &frame).unwrap();
+        let wanted = "(0000000000.000001) can0 01F#FFFFFFFFFFFFFFFF\n";
+        assert_eq!(String::from_utf8(line).unwrap(), wanted);
+    }
+
+    #[test]
+    fn finished_log_takes_the_place_of_the_old_one() {
+        let folder = TempDir::new().unwrap();
+        let path = folder.path().join("drive.log");
+        fs::write(&path, "old").unwrap();
+        let mut sink = LogSink::create(&path).unwrap();
+        send(&mut sink);
+        assert_eq!(fs::read_to_string(&path).unwrap(), "old");
+        Box::new(sink).finish().unwrap();
+        assert_eq!(fs::read_to_string(&path).unwrap(), LINE);
+        assert_eq!(names_in(&folder), ["drive.log"]);
+    }
+
+    #[test]
+    fn unfinished_log_leaves_nothing_behind() {
+        let folder = TempDir::new().unwrap();
+        let mut sink = LogSink::create(&folder.path().join("drive.log")).unwrap();
+        send(&mut sink);
+        drop(sink);
+        assert!(names_in(&folder).is_empty());
+    }
+
+    #[test]
+    fn target_that_cannot_be_written_is_reported_at_once() {
+        let folder = TempDir::new().unwrap();
+        for target in [
+            folder.path().join("missing/drive.log"),
+            folder.path().into(),
+        ] {
+            let error = LogSink::create(&target).err().unwrap();
+            assert!(matches!(error, SinkError::Open { .. }), "{error:?}");
+            let line = error.to_string();
+            assert!(line.contains(target.to_str().unwrap()), "{line}");
+        }
+        assert!(names_in(&folder).is_empty());
+    }
+
+    #[test]
+    fn refused_write_names_the_sink() {
+        struct Full;
+        impl Write for Full {
+            fn write(&mut self, _: &[u8]) -> io::Result<usize> {
+                Err(ErrorKind::StorageFull.into())
+            }
+            fn flush(&mut self) -> io::Result<()> {
+                Ok(())
+            }
+        }
+        let mut sink = LogSink::stream("log:-", Full);
+        let error = sink.send(Duration::ZERO, &FRAME).unwrap_err();
+        assert!(error.to_string().ends_with("CAN sink log:-"), "{error}");
+    }
+}

@@ -1,0 +1,185 @@
+//! `gapwatch replay`: a drive through the monitor, its verdicts to journal and bus.
+
+use std::collections::BTreeMap;
+use std::io::{IsTerminal, Write};
+use std::time::{Duration, Instant};
+
+use gapwatch::alarm::AlarmState;
+use gapwatch::can::message::{GapHealth, GapStatus};
+use gapwatch::can::sender::StatusSender;
+use gapwatch::can::{CanSettings, Sink, WarningSink};
+use gapwatch::detector::BlockScore;
+use gapwatch::frame::{BUILT_IN_DRIVE, open};
+use gapwatch::health::Health;
+use gapwatch::journal::Journal;
+use gapwatch::pipeline::{Monitor, Verdict};
+use gapwatch::reference::Reference;
+use indicatif::ProgressBar;
+
+use super::{Model, progress};
+use crate::args::{ReplayArgs, Speed};
+
+/// With `--check`: judged at least this share of the frames, or "could not judge".
+const JUDGED_MIN: f64 = 0.9;
+/// Exit codes of `--check`.
+const FOUND_NO_GAP: u8 = 0;
+const FOUND_GAP: u8 = 1;
+const COULD_NOT_JUDGE: u8 = 3;
+
+/// What came of the drive.
+#[derive(Default)]
+struct Summary {
+    frames: u64,
+    judged: u64,
+    last: Duration,
+    frames_in: BTreeMap<&'static str, u64>,
+    gaps: u64,
+}
+
+pub fn run(args: &ReplayArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
+    let sink_word = Sink::parse(&args.can)?;
+    let model = Model::load(&args.model)?;
+    let reference = Reference::read(args.reference.as_deref())?;
+    let reference_name = args.reference.as_ref().map_or_else(|| "built-in".to_owned(), |path| path.display().to_string());
+    reference.check_fits(&reference_name, &model.fingerprint)?;
+    let mut monitor = Monitor::new(&model.encoder, &reference)?;
+    let mut source = open(args.source.as_deref().unwrap_or(BUILT_IN_DRIVE))?;
+    let mut journal = args.journal.as_deref().map(|path| Journal::create(path, &model.spec.taps)).transpose()?;
+    let mut bus = Bus::new(sink_word.open()?, &reference)?;
+    let bar = progress::frames(source.frame_count(), "replaying");
+    // With the CAN log on standard output, the lines for people go where they do not mix with it.
+    let mut aside = std::io::stderr();
+    let out: &mut dyn Write = if sink_word == Sink::Stdout { &mut aside } else { out };
+    let mut summary = Summary::default();
+    let mut last_state = None;
+    let began = Instant::now();
+    while let Some(frame) = source.next_frame()? {
+        if args.speed == Speed::Realtime {
+            std::thread::sleep(frame.captured_at.saturating_sub(began.elapsed()));
+        }
+        let taken = Instant::now();
+        let verdict = monitor.step(&frame);
+        let latency = taken.elapsed();
+        bus.tell(&verdict, latency)?;
+        if let Some(journal) = &mut journal {
+            journal.add(&verdict, latency)?;
+        }
+        if last_state != Some(verdict.state) {
+            last_state = Some(verdict.state);
+            tell_change(&verdict, &bar, out)?;
+        }
+        summary.add(&verdict);
+        bar.inc(1);
+    }
+    bar.finish_and_clear();
+    bus.finish()?;
+    if let Some(journal) = journal {
+        journal.finish()?;
+    }
+    summary.tell(began.elapsed(), out)?;
+    Ok(if args.check { summary.found() } else { 0 })
+}
+
+/// One line for a change of state; never torn by the progress bar.
+fn tell_change(verdict: &Verdict, bar: &ProgressBar, out: &mut dyn Write) -> anyhow::Result<()> {
+    let mut line = format!("{:8.1} s  {:<11}", verdict.at.as_secs_f64(), verdict.state.name());
+    match (verdict.state, &verdict.undefined, verdict.score) {
+        (_, Some(why), _) => line += &format!("  {}: {why}", verdict.reason.name()),
+        (AlarmState::Init, _, _) => line += "  starting",
+        (_, None, Some(score)) => line += &format!("  score {score:.2}"),
+        (_, None, None) => {}
+    }
+    if std::io::stderr().is_terminal() { bar.suspend(|| writeln!(out, "{line}")) } else { writeln!(out, "{line}") }?;
+    out.flush()?;
+    Ok(())
+}
+
+/// The CAN side of a replay.
+struct Bus {
+    sender: StatusSender,
+    sink: Box<dyn WarningSink>,
+    health: Health,
+    strict: bool,
+    reference_id: u8,
+}
+
+impl Bus {
+    fn new(sink: Box<dyn WarningSink>, reference: &Reference) -> anyhow::Result<Self> {
+        Ok(Self {
+            sender: StatusSender::new(CanSettings::default())?,
+            sink,
+            health: Health::default(),
+            strict: reference.strict,
+            reference_id: reference.id(),
+        })
+    }
+
+    /// Sends what a verdict changes and what fell due up to its time. In a replay time stands still while a frame is
+    /// judged, so the frame's age is the latency.
+    fn tell(&mut self, verdict: &Verdict, latency: Duration) -> anyhow::Result<()> {
+        self.health.note(verdict.at, latency, verdict.score.is_some());
+        let mut block_scores = [None; 3];
+        block_scores.iter_mut().zip(&verdict.blocks).for_each(|(score, block): (_, &BlockScore)| *score = Some(block.score));
+        let status = GapStatus {
+            state: verdict.state,
+            reason: verdict.reason,
+            gap_stored: verdict.gap_stored,
+            score: verdict.score,
+            block_scores,
+            fault_detection_counter: verdict.fault_detection_counter,
+            frame_age: Some(latency),
+        };
+        let health = GapHealth {
+            strict: self.strict,
+            frame_rate_hz: Some(self.health.judged_rate_hz(verdict.at)),
+            dropped_frames: 0,
+            latency_p50: self.health.latency(0.5),
+            latency_p99: self.health.latency(0.99),
+            window_fill: verdict.window_fill,
+            reference_id: self.reference_id,
+        };
+        self.sender.update(verdict.at, &status);
+        self.sender.update_health(verdict.at, &health);
+        Ok(self.sender.poll(verdict.at, self.sink.as_mut())?)
+    }
+
+    fn finish(self) -> anyhow::Result<()> {
+        Ok(self.sink.finish()?)
+    }
+}
+
+impl Summary {
+    fn add(&mut self, verdict: &Verdict) {
+        self.frames += 1;
+        self.judged += u64::from(verdict.score.is_some());
+        self.last = verdict.at;
+        *self.frames_in.entry(verdict.state.name()).or_default() += 1;
+        self.gaps += u64::from(verdict.state == AlarmState::Gap);
+    }
+
+    #[allow(clippy::cast_precision_loss)]
+    fn tell(&self, took: Duration, out: &mut dyn Write) -> anyhow::Result<()> {
+        let share = |count: u64| 100.0 * count as f64 / self.frames.max(1) as f64;
+        let states: Vec<String> = self.frames_in.iter().map(|(name, &count)| format!("{name} {:.0} %", share(count))).collect();
+        writeln!(
+            out,
+            "{} frames, {:.1} s of drive in {:.1} s: {}",
+            self.frames,
+            self.last.as_secs_f64(),
+            took.as_secs_f64(),
+            states.join(", ")
+        )?;
+        Ok(())
+    }
+
+    #[allow(clippy::cast_precision_loss)]
+    fn found(&self) -> u8 {
+        if self.gaps > 0 {
+            FOUND_GAP
+        } else if (self.judged as f64) < JUDGED_MIN * self.frames as f64 {
+            COULD_NOT_JUDGE
+        } else {
+            FOUND_NO_GAP
+        }
+    }
+}

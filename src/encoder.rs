@@ -1,0 +1,210 @@
+//! Encoder input → feature maps of the tapped blocks: the only file that names tract.
+//!
+//! Any ONNX encoder with one picture input `[1, 3, H, W]` will do. The taps are asked for by name, and whatever does not
+//! lead to them (a lane head) is dropped before the graph is optimised.
+
+use std::sync::Arc;
+
+use sha2::{Digest, Sha256};
+use tract_onnx::prelude::*;
+use tract_onnx::tract_hir::infer::Factoid;
+
+use crate::model::ModelSpec;
+
+/// A model that cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub enum EncoderError {
+    /// The bytes are not an ONNX model that tract can read.
+    #[error("{model}: not a usable ONNX model: {why}")]
+    Onnx {
+        /// File or built-in name.
+        model: String,
+        /// What was found.
+        why: String,
+    },
+    /// A tap that the model does not have.
+    #[error("{model}: no tap named {tap:?}; the model's values are {known}")]
+    NoTap {
+        /// File or built-in name.
+        model: String,
+        /// As asked for.
+        tap: String,
+        /// Names that exist, in the order of the graph.
+        known: String,
+    },
+    /// The model's input is not a picture of the wanted size.
+    #[error("{model}: input {input} is {found}; wanted [1, 3, {height}, {width}]")]
+    Input {
+        /// File or built-in name.
+        model: String,
+        /// Name of the input.
+        input: String,
+        /// Its shape in the file.
+        found: String,
+        /// Wanted height, pixels.
+        height: u32,
+        /// Wanted width, pixels.
+        width: u32,
+    },
+    /// A tap that is no stack of maps.
+    #[error("{model}: tap {tap} has shape {found}; wanted [1, channels, height, width] of at least 2 by 2 cells")]
+    TapShape {
+        /// File or built-in name.
+        model: String,
+        /// Name of the tap.
+        tap: String,
+        /// Its shape.
+        found: String,
+    },
+}
+
+/// A loaded model, shared between threads.
+#[derive(Clone)]
+pub struct Encoder {
+    plan: Arc<TypedRunnableModel>,
+    taps: Vec<String>,
+    input_shape: [usize; 4],
+    sha256: String,
+}
+
+/// Activations of one tapped block.
+pub struct FeatureMap<'a> {
+    /// Channels, height, width.
+    pub shape: [usize; 3],
+    /// `[channels, height, width]`, raw activations of any sign.
+    pub activations: &'a [f32],
+}
+
+impl Encoder {
+    /// Loads and optimises a model for its taps.
+    ///
+    /// # Errors
+    /// When the file is no ONNX model, a tap is unknown, or shapes do not fit.
+    pub fn load(spec: &ModelSpec) -> Result<Self, EncoderError> {
+        let broken = |why: &dyn std::fmt::Display| EncoderError::Onnx { model: spec.name.clone(), why: why.to_string() };
+        let onnx = tract_onnx::onnx();
+        let proto = onnx.proto_model_for_read(&mut spec.onnx.as_ref()).map_err(|e| broken(&root(&e)))?;
+        let graph = proto.graph.as_ref().ok_or_else(|| broken(&"it has no graph"))?;
+        let parsed = onnx.parse(&proto, None).map_err(|e| broken(&root(&e)))?;
+        let mut model = parsed.model;
+        let outlets = spec
+            .taps
+            .iter()
+            .map(|tap| {
+                parsed.outlets_by_name.get(tap).copied().ok_or_else(|| EncoderError::NoTap {
+                    model: spec.name.clone(),
+                    tap: tap.clone(),
+                    known: listed(graph.node.iter().flat_map(|node| &node.output)),
+                })
+            })
+            .collect::<Result<Vec<_>, _>>()?;
+        let (width, height) = (spec.preprocessing.width, spec.preprocessing.height);
+        let input_shape = [1, 3, height as usize, width as usize];
+        let wrong_input = |input: &str, found: String| EncoderError::Input {
+            model: spec.name.clone(),
+            input: input.to_owned(),
+            found,
+            height,
+            width,
+        };
+        let [input] = model.inputs[..] else {
+            return Err(wrong_input("count", format!("{} inputs", model.inputs.len())));
+        };
+        let name = model.node(input.node).name.clone();
+        let declared = model.input_fact(0).map_err(|e| broken(&root(&e)))?.shape.clone();
+        let wanted = InferenceFact::from(f32::fact(input_shape)).shape;
+        if declared.unify(&wanted).is_err() {
+            return Err(wrong_input(&name, format!("{declared:?}")));
+        }
+        model.set_input_fact(0, f32::fact(input_shape).into()).map_err(|e| broken(&root(&e)))?;
+        model.select_output_outlets(&outlets).map_err(|e| broken(&root(&e)))?;
+        let plan = model.into_optimized().and_then(|m| m.into_runnable()).map_err(|e| broken(&root(&e)))?;
+        let encoder = Self {
+            plan,
+            taps: spec.taps.clone(),
+            input_shape,
+            sha256: Sha256::digest(&spec.onnx).iter().map(|byte| format!("{byte:02x}")).collect(),
+        };
+        encoder.check_shapes(&spec.name)?;
+        Ok(encoder)
+    }
+
+    fn check_shapes(&self, model: &str) -> Result<(), EncoderError> {
+        for (index, tap) in self.taps.iter().enumerate() {
+            let fact = self.plan.model().output_fact(index).map_err(|e| EncoderError::Onnx {
+                model: model.to_owned(),
+                why: root(&e),
+            })?;
+            let fits = fact.shape.as_concrete().is_some_and(|s| matches!(*s, [1, c, h, w] if c > 0 && h > 1 && w > 1))
+                && fact.datum_type == f32::datum_type();
+            if !fits {
+                let found = format!("{:?} of {:?}", fact.shape, fact.datum_type);
+                return Err(EncoderError::TapShape { model: model.to_owned(), tap: tap.clone(), found });
+            }
+        }
+        Ok(())
+    }
+
+    /// Hash of the ONNX file.
+    pub fn sha256(&self) -> &str {
+        &self.sha256
+    }
+
+    /// Names of the taps, in the order of the feature maps.
+    pub fn taps(&self) -> &[String] {
+        &self.taps
+    }
+
+    /// State for running the model in one thread.
+    ///
+    /// # Errors
+    /// When tract cannot set up its state.
+    pub fn session(&self) -> Result<EncoderSession, EncoderError> {
+        let state = self.plan.spawn().map_err(|e| EncoderError::Onnx { model: self.sha256.clone(), why: root(&e) })?;
+        Ok(EncoderSession { state, input_shape: self.input_shape, outputs: TVec::new() })
+    }
+}
+
+/// One thread's state of an encoder.
+pub struct EncoderSession {
+    state: TypedSimpleState,
+    input_shape: [usize; 4],
+    outputs: TVec<TValue>,
+}
+
+impl EncoderSession {
+    /// Runs the encoder on `[3, H, W]` normalised RGB; the feature maps come in the order of the taps.
+    ///
+    /// # Errors
+    /// The reason in words when tract fails.
+    pub fn run(&mut self, input: &[f32]) -> Result<Vec<FeatureMap<'_>>, String> {
+        let input = Tensor::from_shape(&self.input_shape, input).map_err(|e| root(&e))?;
+        self.outputs = self.state.run(tvec!(input.into())).map_err(|e| root(&e))?;
+        self.outputs
+            .iter()
+            .map(|output| {
+                let [_, channels, height, width] = *output.shape() else {
+                    return Err(format!("a tap has shape {:?}", output.shape()));
+                };
+                let activations = output.try_as_plain_ram().and_then(|plain| plain.as_slice::<f32>()).map_err(|e| root(&e))?;
+                Ok(FeatureMap { shape: [channels, height, width], activations })
+            })
+            .collect()
+    }
+}
+
+/// tract's chain of contexts in one line, the cause last.
+fn root(error: &TractError) -> String {
+    format!("{error:#}").lines().next().unwrap_or_default().chars().take(300).collect()
+}
+
+/// The names in order, shortened in the middle when there are many.
+fn listed<'a>(names: impl Iterator<Item = &'a String>) -> String {
+    let names: Vec<&str> = names.map(String::as_str).filter(|name| !name.is_empty()).collect();
+    const SHOWN: usize = 60;
+    if names.len() <= SHOWN {
+        return names.join(", ");
+    }
+    let (first, last) = (&names[..SHOWN / 2], &names[names.len() - SHOWN / 2..]);
+    format!("{}, … {} more …, {}", first.join(", "), names.len() - SHOWN, last.join(", "))
+}

@@ -1,0 +1,213 @@
+//! Frames and where they come from: the entrance of the chain.
+//!
+//! Owns opening sources by name and reading pictures. A picture that cannot be read is not the end of a source: it
+//! travels as a frame with its error, so that the monitor can say what it did not see.
+
+mod drive;
+mod images;
+mod random;
+mod video;
+
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use crate::scene::{DriveSpec, SpecError};
+
+/// Frames a second of a folder of images, unless its name says otherwise.
+pub const FOLDER_FPS: f64 = 10.0;
+
+/// The built-in drive: nominal for 20 s, fog of 60 m visibility to 40 s, nominal again to 60 s.
+pub const BUILT_IN_DRIVE: &str = "scene:sim?seed=7&seconds=60&fps=10&condition=fog:4@20-40";
+
+/// An 8-bit RGB picture.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Picture {
+    /// Width, pixels.
+    pub width: u32,
+    /// Height, pixels.
+    pub height: u32,
+    /// `[height, width, 3]`, sRGB as the source gave it.
+    pub rgb: Vec<u8>,
+}
+
+/// A picture with its place in time, or why there is none.
+#[derive(Debug)]
+pub struct Frame {
+    /// Count of frames of the source, from 0.
+    pub sequence: u64,
+    /// Time since the source began.
+    pub captured_at: Duration,
+    /// The picture, or what was wrong with it.
+    pub picture: Result<Picture, PictureError>,
+}
+
+/// A picture that cannot be read.
+#[derive(Debug, thiserror::Error)]
+#[error("{}: {found}; wanted a whole PNG or JPEG image", path.display())]
+pub struct PictureError {
+    path: PathBuf,
+    found: String,
+}
+
+/// A source that cannot be opened or goes on no more.
+#[derive(Debug, thiserror::Error)]
+pub enum SourceError {
+    /// Nothing of that name.
+    #[error("{}: no such file or folder", .0.display())]
+    Missing(PathBuf),
+    /// A folder without images.
+    #[error("{}: no PNG or JPEG image in this folder", .0.display())]
+    Empty(PathBuf),
+    /// A file or folder that cannot be read.
+    #[error("{}: {error}", path.display())]
+    Unreadable {
+        /// Which.
+        path: PathBuf,
+        /// Why.
+        error: std::io::Error,
+    },
+    /// A name that is not understood.
+    #[error("source {found:?}: {wanted}")]
+    Name {
+        /// As typed.
+        found: String,
+        /// What would do.
+        wanted: String,
+    },
+    /// A rendered drive that is not understood.
+    #[error(transparent)]
+    Scene(#[from] SpecError),
+    /// A video that cannot be decoded.
+    #[error("{}: {why}", path.display())]
+    Video {
+        /// Which file.
+        path: PathBuf,
+        /// What `ffmpeg` said, or that it is missing.
+        why: String,
+    },
+}
+
+/// Gives frames in order of time.
+pub trait FrameSource: Send {
+    /// The next frame, or `None` at the end.
+    ///
+    /// # Errors
+    /// When the source breaks off; a single unreadable picture is not an error but a [`Frame`] without picture.
+    fn next_frame(&mut self) -> Result<Option<Frame>, SourceError>;
+
+    /// How many frames there will be, when known.
+    fn frame_count(&self) -> Option<u64>;
+}
+
+/// Opens a source by the name a user types: `scene:…`, `random:…`, a folder, an image or a video file.
+///
+/// # Errors
+/// When the name is not understood or nothing readable is behind it.
+pub fn open(name: &str) -> Result<Box<dyn FrameSource>, SourceError> {
+    if let Some(spec) = name.strip_prefix("scene:") {
+        return Ok(Box::new(drive::DriveSource::new(&spec.parse::<DriveSpec>()?)));
+    }
+    if let Some(spec) = name.strip_prefix("random:") {
+        return Ok(Box::new(random::RandomSource::parse(name, spec)?));
+    }
+    if name.starts_with("v4l2:") {
+        return Err(SourceError::Name {
+            found: name.to_owned(),
+            wanted: "this version has no camera source; wanted scene:…, random:…, a folder, an image or a video".to_owned(),
+        });
+    }
+    let (path, fps) = path_and_fps(name)?;
+    if path.is_dir() {
+        return Ok(Box::new(images::ImageSource::folder(path, fps.unwrap_or(FOLDER_FPS))?));
+    }
+    if !path.exists() {
+        return Err(SourceError::Missing(path.to_owned()));
+    }
+    if images::is_image(path) {
+        return Ok(Box::new(images::ImageSource::single(path)));
+    }
+    Ok(Box::new(video::VideoSource::open(path)?))
+}
+
+/// Most drives that one name may stand for.
+const DRIVES_MAX: u64 = 10_000;
+
+/// The drives that a name stands for: one, or for `scene:…seed=A..B…` one a seed, both ends included.
+///
+/// # Errors
+/// When the range is empty or too long.
+pub fn drives(name: &str) -> Result<Vec<String>, SourceError> {
+    let Some((start, seeds)) = name.strip_prefix("scene:").and_then(|spec| {
+        let start = spec.find("seed=")? + "scene:seed=".len();
+        let seeds = name[start..].split('&').next()?;
+        seeds.contains("..").then_some((start, seeds))
+    }) else {
+        return Ok(vec![name.to_owned()]);
+    };
+    let range = seeds.split_once("..").and_then(|(from, to)| Some((from.parse::<u64>().ok()?, to.parse::<u64>().ok()?)));
+    match range {
+        Some((from, to)) if from <= to && to - from < DRIVES_MAX => {
+            let (before, after) = (&name[..start], &name[start + seeds.len()..]);
+            Ok((from..=to).map(|seed| format!("{before}{seed}{after}")).collect())
+        }
+        _ => Err(SourceError::Name {
+            found: name.to_owned(),
+            wanted: format!("wanted seed=A..B, A not above B, at most {DRIVES_MAX} seeds"),
+        }),
+    }
+}
+
+/// Splits `PATH?fps=N`; a path that exists as typed is taken whole.
+fn path_and_fps(name: &str) -> Result<(&Path, Option<f64>), SourceError> {
+    match name.rsplit_once("?fps=") {
+        Some((path, fps)) if !Path::new(name).exists() => {
+            let fps = fps.parse().ok().filter(|fps| (0.1..=240.0).contains(fps));
+            let fps = fps.ok_or_else(|| SourceError::Name {
+                found: name.to_owned(),
+                wanted: "wanted ?fps= from 0.1 to 240".to_owned(),
+            })?;
+            Ok((Path::new(path), Some(fps)))
+        }
+        _ => Ok((Path::new(name), None)),
+    }
+}
+
+/// The time of frame `sequence` at a steady rate.
+fn time_of(sequence: u64, fps: f64) -> Duration {
+    // Exact to the nanosecond for more than 50 days of 100 frames a second.
+    #[allow(clippy::cast_precision_loss)]
+    Duration::from_secs_f64(sequence as f64 / fps)
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    #[test]
+    fn a_range_of_seeds_stands_for_one_drive_a_seed() {
+        assert_eq!(
+            drives("scene:sim?seed=9..11&seconds=5").unwrap(),
+            ["scene:sim?seed=9&seconds=5", "scene:sim?seed=10&seconds=5", "scene:sim?seed=11&seconds=5"]
+        );
+        assert_eq!(drives("scene:sim?seed=9").unwrap(), ["scene:sim?seed=9"]);
+        assert_eq!(drives("a..b").unwrap(), ["a..b"]);
+        for wrong in ["scene:sim?seed=3..1", "scene:sim?seed=..", "scene:sim?seed=0..99999"] {
+            assert!(drives(wrong).is_err(), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn sources_that_cannot_be_opened_say_why() {
+        for (name, part) in [
+            ("no-such-folder", "no such file or folder"),
+            ("v4l2:/dev/video0", "no camera source"),
+            ("random:frames=0", "frames=1..100000"),
+            ("src?fps=0", "?fps="),
+            ("src", "no PNG or JPEG image"),
+        ] {
+            let said = open(name).err().unwrap().to_string();
+            assert!(said.contains(part), "{said}");
+        }
+    }
+}

@@ -1,0 +1,46 @@
+//! A rendered drive as a frame source.
+
+use super::{Frame, FrameSource, Picture, SourceError, time_of};
+use crate::scene::{Drive, DriveSpec, Renderer};
+
+/// Size at which drives are rendered, pixels: that of the built-in encoder.
+const SIZE: (u32, u32) = (320, 160);
+
+pub struct DriveSource {
+    drive: Drive,
+    renderer: Renderer,
+    fps: f64,
+    next: u64,
+    count: u64,
+}
+
+impl DriveSource {
+    pub fn new(spec: &DriveSpec) -> Self {
+        // Both factors are positive and their product is at most 86,400 s of 240 frames.
+        #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)]
+        let count = (spec.seconds * spec.fps).ceil() as u64;
+        Self {
+            drive: Drive::new(spec.look, spec.seed, &spec.conditions),
+            renderer: Renderer::new(SIZE.0, SIZE.1),
+            fps: spec.fps,
+            next: 0,
+            count,
+        }
+    }
+}
+
+impl FrameSource for DriveSource {
+    fn next_frame(&mut self) -> Result<Option<Frame>, SourceError> {
+        if self.next == self.count {
+            return Ok(None);
+        }
+        let (sequence, captured_at) = (self.next, time_of(self.next, self.fps));
+        self.next += 1;
+        let rgb = self.renderer.render(&self.drive, captured_at.as_secs_f64()).rgb.to_vec();
+        Ok(Some(Frame { sequence, captured_at, picture: Ok(Picture { width: SIZE.0, height: SIZE.1, rgb }) }))
+    }
+
+    fn frame_count(&self) -> Option<u64> {
+        Some(self.count)
+    }
+}

@@ -1,0 +1,99 @@
+//! Journal: one JSON object a line for every frame that was looked at.
+
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use serde::Serialize;
+use serde::ser::{SerializeMap, Serializer};
+
+use crate::detector::BlockScore;
+use crate::pipeline::Verdict;
+use crate::whole_file::WholeFile;
+
+/// A journal that cannot be written.
+#[derive(Debug, thiserror::Error)]
+#[error("journal {}: {error}", path.display())]
+pub struct JournalError {
+    path: PathBuf,
+    error: io::Error,
+}
+
+/// Writes a journal; the file appears whole when it is finished.
+pub struct Journal {
+    path: PathBuf,
+    lines: WholeFile,
+    taps: Vec<String>,
+}
+
+#[derive(Serialize)]
+struct Line<'a> {
+    t_s: f64,
+    seq: u64,
+    state: &'static str,
+    reason: &'static str,
+    score: Option<f64>,
+    gap: PerTap<'a>,
+    similarity: PerTap<'a>,
+    health: String,
+    latency_ms: f64,
+}
+
+/// One number a tap, in the order of the taps; `null` where there is none.
+struct PerTap<'a> {
+    taps: &'a [String],
+    blocks: &'a [BlockScore],
+    value: fn(&BlockScore) -> f64,
+}
+
+impl Serialize for PerTap<'_> {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let mut map = serializer.serialize_map(Some(self.taps.len()))?;
+        for (index, tap) in self.taps.iter().enumerate() {
+            map.serialize_entry(tap, &self.blocks.get(index).map(self.value))?;
+        }
+        map.end()
+    }
+}
+
+impl Journal {
+    /// Begins a journal of a model with these taps.
+    ///
+    /// # Errors
+    /// When nothing can be written beside `path`.
+    pub fn create(path: &Path, taps: &[String]) -> Result<Self, JournalError> {
+        let lines = WholeFile::create(path).map_err(|error| JournalError { path: path.to_owned(), error })?;
+        Ok(Self { path: path.to_owned(), lines, taps: taps.to_vec() })
+    }
+
+    /// Adds a verdict and the time it took from frame to verdict.
+    ///
+    /// # Errors
+    /// When the disk does not take it.
+    pub fn add(&mut self, verdict: &Verdict, latency: Duration) -> Result<(), JournalError> {
+        let per_tap = |value| PerTap { taps: &self.taps, blocks: &verdict.blocks, value };
+        let line = Line {
+            t_s: verdict.at.as_secs_f64(),
+            seq: verdict.sequence,
+            state: verdict.state.name(),
+            reason: verdict.reason.name(),
+            score: verdict.score,
+            gap: per_tap(|block| block.gap),
+            similarity: per_tap(|block| block.similarity),
+            health: verdict.undefined.as_ref().map_or_else(|| "ok".to_owned(), ToString::to_string),
+            latency_ms: latency.as_secs_f64() * 1e3,
+        };
+        serde_json::to_writer(&mut self.lines, &line)
+            .map_err(io::Error::from)
+            .and_then(|()| self.lines.write_all(b"\n"))
+            .map_err(|error| JournalError { path: self.path.clone(), error })
+    }
+
+    /// Puts the file in place.
+    ///
+    /// # Errors
+    /// When the disk does not take it.
+    pub fn finish(self) -> Result<(), JournalError> {
+        self.lines.finish().map_err(|error| JournalError { path: self.path, error })
+    }
+}

@@ -1,0 +1,115 @@
+//! The whole chain on one screen: a frame in, a verdict out.
+
+use std::time::Duration;
+
+use crate::alarm::{Alarm, AlarmState, Judgement, Reason};
+use crate::attention::{EnergyMap, Upsampler};
+use crate::detector::{BlockScore, Detector};
+use crate::encoder::{Encoder, EncoderError};
+use crate::frame::Frame;
+use crate::histogram::Binning;
+use crate::model::TAPS_MAX;
+use crate::reference::Reference;
+use crate::survey::EnergyStage;
+use crate::undefined::Undefined;
+
+/// Watches one camera against one reference.
+pub struct Monitor {
+    stage: EnergyStage,
+    binnings: Vec<Binning>,
+    upsamplers: Vec<Option<Upsampler>>,
+    common: EnergyMap,
+    counts: Vec<u32>,
+    detector: Detector,
+    alarm: Alarm,
+}
+
+/// What is known after a frame.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Verdict {
+    /// Time of the frame.
+    pub at: Duration,
+    /// Its number.
+    pub sequence: u64,
+    /// What the car is told.
+    pub state: AlarmState,
+    /// Why.
+    pub reason: Reason,
+    /// Why this frame has no score, in words.
+    pub undefined: Option<Undefined>,
+    /// The largest score of the blocks: 0 nominal, 1 alarm threshold; `None` when the frame cannot be judged.
+    pub score: Option<f64>,
+    /// One entry a tap; empty when the frame cannot be judged.
+    pub blocks: heapless::Vec<BlockScore, TAPS_MAX>,
+    /// Share of the detector's window that is filled, 0..1; `None` when the frame cannot be judged.
+    pub window_fill: Option<f64>,
+    /// Fault detection counter, -128..127.
+    pub fault_detection_counter: i8,
+    /// A gap was reported since the start.
+    pub gap_stored: bool,
+}
+
+impl Monitor {
+    /// A monitor that has seen nothing. The reference must fit the encoder (`Reference::check_fits`).
+    ///
+    /// # Errors
+    /// When the encoder's state cannot be set up.
+    pub fn new(encoder: &Encoder, reference: &Reference) -> Result<Self, EncoderError> {
+        let stage = EnergyStage::new(encoder, &reference.model.preprocessing)?;
+        let detector = Detector::new(reference);
+        Ok(Self {
+            stage,
+            binnings: reference.taps.iter().map(|tap| tap.binning.clone()).collect(),
+            upsamplers: vec![None; reference.taps.len()],
+            common: EnergyMap::default(),
+            counts: vec![0; detector.bins()],
+            detector,
+            alarm: Alarm::default(),
+        })
+    }
+
+    /// Frame → energies → histograms → window → score → state. Time is the frame's own.
+    pub fn step(&mut self, frame: &Frame) -> Verdict {
+        let now = frame.captured_at;
+        let evidence = self.count(frame).and_then(|()| self.detector.observe(now, &self.counts));
+        self.alarm.step(
+            now,
+            match &evidence {
+                Ok(seen) => Judgement::Score { score: seen.score, settled: seen.fill >= 1.0 },
+                Err(why) => Judgement::Cannot(Reason::from(why)),
+            },
+        );
+        let (seen, undefined) = match evidence {
+            Ok(seen) => (Some(seen), None),
+            Err(why) => (None, Some(why)),
+        };
+        Verdict {
+            at: now,
+            sequence: frame.sequence,
+            state: self.alarm.state(),
+            reason: self.alarm.reason(),
+            undefined,
+            score: seen.as_ref().map(|seen| seen.score),
+            window_fill: seen.as_ref().map(|seen| seen.fill),
+            blocks: seen.map_or_else(heapless::Vec::new, |seen| seen.blocks),
+            fault_detection_counter: self.alarm.fault_detection_counter(),
+            gap_stored: self.alarm.gap_stored(),
+        }
+    }
+
+    /// Fills `counts` with the histograms of one frame, tap after tap.
+    fn count(&mut self, frame: &Frame) -> Result<(), Undefined> {
+        let size = self.stage.common_size();
+        let maps = self.stage.energies(frame)?;
+        self.counts.fill(0);
+        let mut counts = self.counts.as_mut_slice();
+        for ((map, binning), upsampler) in maps.iter().zip(&self.binnings).zip(&mut self.upsamplers) {
+            let upsampler = upsampler.get_or_insert_with(|| Upsampler::new((map.width, map.height), size));
+            upsampler.resample(map, &mut self.common);
+            let (own, rest) = counts.split_at_mut(binning.bins());
+            binning.count(&self.common, own)?;
+            counts = rest;
+        }
+        Ok(())
+    }
+}

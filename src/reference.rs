@@ -1,0 +1,344 @@
+//! Reference files: what nominal attention looks like, for which model, and from which gap on it is an alarm.
+//!
+//! A reference is self-describing JSON for people and programs. It carries the fingerprint of the model and its
+//! preprocessing, and is refused by any other. Owns reading, checking and writing; it is made by `calibration`.
+
+use std::fs;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
+
+use crate::encoder::Encoder;
+use crate::gap::Metric;
+use crate::histogram::Binning;
+use crate::model::ModelSpec;
+use crate::preprocess::{Preprocessing, RESIZE_KERNEL};
+use crate::whole_file::WholeFile;
+
+mod pretty;
+
+const FORMAT: &str = "gapwatch-reference";
+const VERSION: u32 = 1;
+const BUILT_IN: &str = include_str!("../calibration/sim.json");
+
+/// What nominal attention looks like to one model.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Reference {
+    format: String,
+    version: u32,
+    /// The model that it holds for.
+    pub model: ModelFingerprint,
+    /// Made of simulation alone: on any real road it means a standing gap.
+    pub strict: bool,
+    /// How gaps are measured.
+    pub metric: Metric,
+    /// Length of the detector's window, seconds.
+    pub window_s: f64,
+    /// Where it came from.
+    pub provenance: Provenance,
+    /// One entry a tap, in the order of the model's taps.
+    pub taps: Vec<TapReference>,
+}
+
+/// What makes two encoders see alike.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ModelFingerprint {
+    /// Name, for people.
+    pub name: String,
+    /// Hash of the ONNX file.
+    pub sha256: String,
+    /// Names of the taps.
+    pub taps: Vec<String>,
+    /// Size, crop and normalisation.
+    pub preprocessing: Preprocessing,
+    /// How pictures are resized.
+    pub resize: String,
+}
+
+/// Where a reference came from.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Provenance {
+    /// Version of the program.
+    pub gapwatch: String,
+    /// The command that makes it again.
+    pub command: String,
+    /// Where medians and thresholds came from, and what they do not promise.
+    pub thresholds: String,
+    /// What was looked at.
+    pub sources: Vec<SourceUse>,
+}
+
+/// One source that a reference was made from.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SourceUse {
+    /// As typed.
+    pub source: String,
+    /// Frames it gave.
+    pub frames: u64,
+    /// Frames that made the histograms.
+    pub fitted: u64,
+    /// Frames that made medians and thresholds.
+    pub held_out: u64,
+}
+
+/// Nominal attention of one tapped block.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TapReference {
+    /// Name of the tap.
+    pub tap: String,
+    /// Median over the images of the largest energy, squared activation units: the scale of this block.
+    pub median_peak_energy: f64,
+    /// How pixels are counted.
+    pub binning: Binning,
+    /// Images counted.
+    pub images: u64,
+    /// `[bins]`, pixels.
+    pub counts: Vec<u64>,
+    /// Nominal gaps by the number of frames in the window, fewest first.
+    pub scale: Vec<ScalePoint>,
+}
+
+/// Nominal gaps of windows of a number of frames.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ScalePoint {
+    /// Frames a window.
+    pub frames: usize,
+    /// Windows looked at.
+    pub windows: usize,
+    /// Median gap: score 0.
+    pub median: f64,
+    /// Alarm threshold: score 1.
+    pub threshold: f64,
+}
+
+/// A reference that cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub enum ReferenceError {
+    /// The file cannot be read or written.
+    #[error("{}: {error}", path.display())]
+    File {
+        /// Which file.
+        path: PathBuf,
+        /// Why.
+        error: std::io::Error,
+    },
+    /// The file is no reference of this version.
+    #[error("reference {name}: {found}; wanted {FORMAT} version {VERSION} as written by gapwatch calibrate")]
+    Malformed {
+        /// File or built-in name.
+        name: String,
+        /// What was found.
+        found: String,
+    },
+    /// It was made for another model or another way of feeding it.
+    #[error("reference {name} does not fit the model in use: {what} is {found}, the reference was made with {wanted}; calibrate one for this model, or name its model")]
+    OtherModel {
+        /// File or built-in name.
+        name: String,
+        /// Which part differs.
+        what: &'static str,
+        /// Of the model in use.
+        found: String,
+        /// Of the reference.
+        wanted: String,
+    },
+}
+
+impl ModelFingerprint {
+    /// The fingerprint of a loaded model.
+    pub fn new(spec: &ModelSpec, encoder: &Encoder) -> Self {
+        Self {
+            name: Path::new(&spec.name).file_name().unwrap_or_default().to_string_lossy().into_owned(),
+            sha256: encoder.sha256().to_owned(),
+            taps: spec.taps.clone(),
+            preprocessing: spec.preprocessing.clone(),
+            resize: RESIZE_KERNEL.to_owned(),
+        }
+    }
+}
+
+impl Reference {
+    /// A reference of this version.
+    pub fn new(model: ModelFingerprint, metric: Metric, window_s: f64, provenance: Provenance, taps: Vec<TapReference>) -> Self {
+        Self { format: FORMAT.to_owned(), version: VERSION, model, strict: true, metric, window_s, provenance, taps }
+    }
+
+    /// Reads a file, or the reference inside the program, and checks that it is whole.
+    ///
+    /// # Errors
+    /// When it cannot be read or is malformed.
+    pub fn read(file: Option<&Path>) -> Result<Self, ReferenceError> {
+        match file {
+            None => Self::parse("built-in", BUILT_IN),
+            Some(path) => {
+                let text = fs::read(path).map_err(|error| ReferenceError::File { path: path.to_owned(), error })?;
+                Self::parse(&path.display().to_string(), &String::from_utf8_lossy(&text))
+            }
+        }
+    }
+
+    fn parse(name: &str, text: &str) -> Result<Self, ReferenceError> {
+        let malformed = |found: String| ReferenceError::Malformed { name: name.to_owned(), found };
+        let value: serde_json::Value = serde_json::from_str(text).map_err(|e| malformed(format!("not JSON ({e})")))?;
+        let (format, version) = (&value["format"], &value["version"]);
+        if format != FORMAT || version != VERSION {
+            return Err(malformed(format!("format {format}, version {version}")));
+        }
+        let reference: Self = serde_json::from_value(value).map_err(|e| malformed(e.to_string()))?;
+        match reference.fault() {
+            Some(fault) => Err(malformed(fault)),
+            None => Ok(reference),
+        }
+    }
+
+    fn fault(&self) -> Option<String> {
+        let names: Vec<&String> = self.taps.iter().map(|t| &t.tap).collect();
+        if self.taps.is_empty() || names != self.model.taps.iter().collect::<Vec<_>>() {
+            return Some(format!("taps {names:?} beside a model with taps {:?}", self.model.taps));
+        }
+        if !(0.05..=60.0).contains(&self.window_s) {
+            return Some(format!("a window of {} s, not 0.05 to 60", self.window_s));
+        }
+        self.taps.iter().find_map(|tap| tap.fault().map(|fault| format!("tap {}: {fault}", tap.tap)))
+    }
+
+    /// Refuses a model that the reference was not made with.
+    ///
+    /// # Errors
+    /// `OtherModel` with the first part that differs.
+    pub fn check_fits(&self, name: &str, model: &ModelFingerprint) -> Result<(), ReferenceError> {
+        let (ours, theirs) = (&self.model, model);
+        let parts = [
+            ("hash", ours.sha256.clone(), theirs.sha256.clone()),
+            ("taps", ours.taps.join(","), theirs.taps.join(",")),
+            ("preprocessing", format!("{:?}", ours.preprocessing), format!("{:?}", theirs.preprocessing)),
+            ("resize kernel", ours.resize.clone(), theirs.resize.clone()),
+        ];
+        match parts.into_iter().find(|(_, wanted, found)| wanted != found) {
+            None => Ok(()),
+            Some((what, wanted, found)) => {
+                Err(ReferenceError::OtherModel { name: name.to_owned(), what, found, wanted })
+            }
+        }
+    }
+
+    /// The file's text: pretty JSON, arrays of numbers on few lines.
+    pub fn to_json(&self) -> String {
+        pretty::to_json(self)
+    }
+
+    /// Writes the file whole or not at all.
+    ///
+    /// # Errors
+    /// When it cannot be written.
+    pub fn write(&self, path: &Path) -> Result<(), ReferenceError> {
+        let failed = |error| ReferenceError::File { path: path.to_owned(), error };
+        let mut file = WholeFile::create(path).map_err(failed)?;
+        file.write_all(self.to_json().as_bytes()).map_err(failed)?;
+        file.finish().map_err(failed)
+    }
+
+    /// One byte that tells references apart on the bus: the first of the hash of the file's text.
+    pub fn id(&self) -> u8 {
+        Sha256::digest(self.to_json().as_bytes())[0]
+    }
+}
+
+impl TapReference {
+    fn fault(&self) -> Option<String> {
+        if let Some(fault) = self.binning.fault() {
+            return Some(fault.to_owned());
+        }
+        if self.counts.len() != self.binning.bins() || self.images == 0 {
+            return Some(format!("{} counts of {} images for {} bins", self.counts.len(), self.images, self.binning.bins()));
+        }
+        if self.counts.iter().try_fold(0_u64, |sum, &n| sum.checked_add(n)).is_none_or(|sum| sum == 0) {
+            return Some("counts that do not add up".to_owned());
+        }
+        if !(self.median_peak_energy.is_finite() && self.median_peak_energy > 0.0) {
+            return Some(format!("a median peak energy of {}", self.median_peak_energy));
+        }
+        let rising = self.scale.windows(2).all(|pair| pair[0].frames < pair[1].frames);
+        let usable = |p: &ScalePoint| p.frames > 0 && p.median.is_finite() && p.threshold.is_finite() && p.median < p.threshold;
+        if self.scale.is_empty() || !rising || !self.scale.iter().all(usable) {
+            return Some("a scale without rising frame counts and medians below thresholds".to_owned());
+        }
+        None
+    }
+
+    /// Median and threshold for windows of `frames`, linear in `1 / frames` between the points of the scale: the gap of
+    /// an average of `n` histograms falls as `1 / n` towards that of infinitely many.
+    #[allow(clippy::cast_precision_loss)]
+    pub fn scale_for(&self, frames: usize) -> (f64, f64) {
+        let next = self.scale.partition_point(|point| point.frames < frames).min(self.scale.len() - 1);
+        let (low, high) = (self.scale[next.saturating_sub(1)], self.scale[next]);
+        if low.frames == high.frames {
+            return (high.median, high.threshold);
+        }
+        let inverse = |frames: usize| 1.0 / frames as f64;
+        let frames = frames.clamp(low.frames, high.frames);
+        let share = (inverse(low.frames) - inverse(frames)) / (inverse(low.frames) - inverse(high.frames));
+        (low.median + share * (high.median - low.median), low.threshold + share * (high.threshold - low.threshold))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    fn tap(scale: &[(usize, f64, f64)]) -> TapReference {
+        TapReference {
+            tap: "e2".into(),
+            median_peak_energy: 5.0,
+            binning: Binning::LogEnergy { epsilon: 1e-6, edges: vec![0.0] },
+            images: 1,
+            counts: vec![1, 2],
+            scale: scale
+                .iter()
+                .map(|&(frames, median, threshold)| ScalePoint { frames, windows: 9, median, threshold })
+                .collect(),
+        }
+    }
+
+    #[test]
+    fn the_scale_between_two_points_is_linear_in_one_over_frames() {
+        let tap = tap(&[(1, 1.0, 2.0), (2, 0.5, 1.0), (10, 0.1, 0.2)]);
+        for (frames, median) in [(1, 1.0), (2, 0.5), (4, 0.25), (5, 0.2), (10, 0.1), (30, 0.1)] {
+            let (found, threshold) = tap.scale_for(frames);
+            assert!((found - median).abs() < 1e-12 && (threshold - 2.0 * median).abs() < 1e-12, "{frames}: {found}");
+        }
+    }
+
+    #[test]
+    fn malformed_references_are_refused_by_name() {
+        for (text, part) in [
+            ("", "not JSON"),
+            ("{}", "format null"),
+            ("{\"format\": \"gapwatch-reference\", \"version\": 2}", "version 2"),
+            ("{\"format\": \"gapwatch-reference\", \"version\": 1}", "missing field"),
+        ] {
+            let said = Reference::parse("r.json", text).unwrap_err().to_string();
+            assert!(said.contains(part) && said.contains("r.json"), "{said}");
+        }
+        assert!(tap(&[]).fault().unwrap().contains("scale"));
+        assert!(tap(&[(1, 2.0, 1.0)]).fault().unwrap().contains("scale"));
+        assert!(TapReference { counts: vec![0, 0], ..tap(&[(1, 1.0, 2.0)]) }.fault().unwrap().contains("counts"));
+        assert!(TapReference { counts: vec![u64::MAX, 1], ..tap(&[(1, 1.0, 2.0)]) }.fault().is_some());
+        assert_eq!(tap(&[(1, 1.0, 2.0)]).fault(), None);
+    }
+
+    #[test]
+    fn the_built_in_reference_is_read_and_written_without_loss() {
+        let reference = Reference::read(None).unwrap();
+        assert_eq!(reference.to_json(), BUILT_IN);
+    }
+}

@@ -1,0 +1,125 @@
+//! Whole sources through the encoder: what `calibrate` and `compare` work on.
+
+use std::time::Duration;
+
+use crate::attention::{EnergyMap, Upsampler, common_size, energy_from_features};
+use crate::encoder::{Encoder, EncoderError, EncoderSession};
+use crate::frame::{Frame, Picture, SourceError, open};
+use crate::preprocess::{Preprocessing, Preprocessor};
+use crate::undefined::Undefined;
+
+/// Picture → encoder input → feature maps → energy maps of the common size, for one thread. Keeps its buffers.
+pub struct EnergyStage {
+    preprocessor: Preprocessor,
+    session: EncoderSession,
+    taps: Vec<String>,
+    common: (usize, usize),
+    maps: Vec<EnergyMap>,
+}
+
+impl EnergyStage {
+    /// For one encoder and the way it is fed.
+    ///
+    /// # Errors
+    /// When the encoder's state cannot be set up.
+    pub fn new(encoder: &Encoder, preprocessing: &Preprocessing) -> Result<Self, EncoderError> {
+        Ok(Self {
+            preprocessor: Preprocessor::new(preprocessing),
+            session: encoder.session()?,
+            taps: encoder.taps().to_vec(),
+            common: common_size(preprocessing.width, preprocessing.height),
+            maps: vec![EnergyMap::default(); encoder.taps().len()],
+        })
+    }
+
+    /// The size of all maps after resampling, width and height.
+    pub fn common_size(&self) -> (usize, usize) {
+        self.common
+    }
+
+    /// Energy maps of a frame, one a tap, each of its block's own size.
+    ///
+    /// # Errors
+    /// Why this frame cannot be judged.
+    pub fn energies(&mut self, frame: &Frame) -> Result<&[EnergyMap], Undefined> {
+        let picture: &Picture = frame.picture.as_ref().map_err(|error| Undefined::Corrupt(error.to_string()))?;
+        let input = self.preprocessor.input(picture)?;
+        let features = self.session.run(input).map_err(Undefined::Encoder)?;
+        for ((tap, features), map) in self.taps.iter().zip(&features).zip(&mut self.maps) {
+            energy_from_features(tap, features, map)?;
+        }
+        Ok(&self.maps)
+    }
+}
+
+/// A source seen through the encoder.
+#[derive(Debug)]
+pub struct Survey {
+    /// As typed.
+    pub source: String,
+    /// Every frame, in order.
+    pub frames: Vec<Seen>,
+    /// Size that maps are resampled to, width and height.
+    pub common_size: (usize, usize),
+}
+
+/// One frame of a survey.
+#[derive(Debug)]
+pub struct Seen {
+    /// Time since the source began.
+    pub at: Duration,
+    /// Energy maps of the blocks, or why there are none.
+    pub energies: Result<Vec<EnergyMap>, Undefined>,
+}
+
+/// A source that could not be surveyed.
+#[derive(Debug, thiserror::Error)]
+pub enum SurveyError {
+    /// The source failed.
+    #[error(transparent)]
+    Source(#[from] SourceError),
+    /// The encoder failed.
+    #[error(transparent)]
+    Encoder(#[from] EncoderError),
+    /// A picture of a set that is to be measured cannot be read.
+    #[error("{0}")]
+    Picture(String),
+}
+
+impl Survey {
+    /// Looks at every frame of a source; `seen` is called after each.
+    ///
+    /// # Errors
+    /// When the source or the encoder fails, and for a picture that cannot be read: a set is measured whole or not at all.
+    pub fn of(
+        source: &str,
+        encoder: &Encoder,
+        preprocessing: &Preprocessing,
+        seen: &(dyn Fn() + Sync),
+    ) -> Result<Self, SurveyError> {
+        let mut stage = EnergyStage::new(encoder, preprocessing)?;
+        let mut frames_of = open(source)?;
+        let mut frames = Vec::new();
+        while let Some(frame) = frames_of.next_frame()? {
+            if let Err(error) = &frame.picture {
+                return Err(SurveyError::Picture(error.to_string()));
+            }
+            let energies = stage.energies(&frame).map(<[EnergyMap]>::to_vec);
+            frames.push(Seen { at: frame.captured_at, energies });
+            seen();
+        }
+        Ok(Self { source: source.to_owned(), frames, common_size: stage.common_size() })
+    }
+
+    /// The maps of one tap at the common size, frame by frame; `None` where a frame has none.
+    pub fn common_maps(&self, tap: usize) -> impl Iterator<Item = Result<EnergyMap, Undefined>> + '_ {
+        let mut upsampler: Option<Upsampler> = None;
+        self.frames.iter().map(move |seen| {
+            let map = &seen.energies.as_ref().map_err(Undefined::clone)?[tap];
+            let upsampler = upsampler.get_or_insert_with(|| Upsampler::new((map.width, map.height), self.common_size));
+            let mut common = EnergyMap::default();
+            upsampler.resample(map, &mut common);
+            Ok(common)
+        })
+    }
+}

@@ -1,0 +1,55 @@
+//! Why something cannot be said. Undefined is a value: it is passed on, counted and reported, never a NaN.
+
+/// The reason why a frame, histogram or comparison has no value.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum Undefined {
+    /// The picture is too small to see a road in.
+    #[error("picture of {width}x{height} pixels is too small to judge")]
+    TooSmall {
+        /// Pixels.
+        width: u32,
+        /// Pixels.
+        height: u32,
+    },
+    /// Every pixel is black.
+    #[error("picture is black")]
+    Black,
+    /// Every pixel has the same colour.
+    #[error("picture is uniform: every pixel has the same colour")]
+    Uniform,
+    /// The picture could not be read.
+    #[error("{0}")]
+    Corrupt(String),
+    /// An activation is NaN or infinite.
+    #[error("activation of {tap} is not a finite number at channel {channel}, row {row}, column {column}")]
+    NotFinite {
+        /// Name of the tap.
+        tap: String,
+        /// Place of the first one.
+        channel: usize,
+        /// Place of the first one.
+        row: usize,
+        /// Place of the first one.
+        column: usize,
+    },
+    /// The energy is the same everywhere, so it says nothing about where the encoder looks.
+    #[error("energy map is constant")]
+    ConstantMap,
+    /// No pixel fell into a counted bin.
+    #[error("histogram is empty")]
+    EmptyHistogram,
+    /// Correlation with a histogram whose bins are all equal.
+    #[error("histogram is constant, so it correlates with nothing")]
+    ConstantHistogram,
+    /// Too few images for the wanted statistic.
+    #[error("too few images: {found}, wanted at least {wanted}")]
+    TooFewImages {
+        /// Images at hand.
+        found: usize,
+        /// Images needed.
+        wanted: usize,
+    },
+    /// The encoder failed on this frame.
+    #[error("encoder failed: {0}")]
+    Encoder(String),
+}

@@ -1,0 +1,114 @@
+//! Files that appear whole or not at all.
+
+use std::fs::{File, OpenOptions};
+use std::io::{self, BufWriter, Write};
+use std::os::unix::fs::PermissionsExt;
+use std::path::{Path, PathBuf};
+
+use tempfile::NamedTempFile;
+
+/// A file being written beside its place; dropped without [`WholeFile::finish`] it leaves nothing behind.
+pub struct WholeFile(Target);
+
+enum Target {
+    Beside { file: BufWriter<NamedTempFile>, place: PathBuf },
+    /// A device or pipe, which must not be replaced.
+    Through(BufWriter<File>),
+}
+
+impl WholeFile {
+    /// Begins a file at `path`.
+    ///
+    /// # Errors
+    /// When nothing can be written there.
+    pub fn create(path: &Path) -> io::Result<Self> {
+        match path.metadata() {
+            Ok(there) if there.is_dir() => return Err(io::ErrorKind::IsADirectory.into()),
+            Ok(there) if !there.is_file() => {
+                return Ok(Self(Target::Through(BufWriter::new(OpenOptions::new().write(true).open(path)?))));
+            }
+            // What may not be written may not be replaced either.
+            Ok(_) => drop(OpenOptions::new().append(true).open(path)?),
+            Err(_) => {}
+        }
+        // A link stays a link: what it names is replaced.
+        let place = path.canonicalize().unwrap_or_else(|_| path.to_owned());
+        let folder = place.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        let file = tempfile::Builder::new().permissions(PermissionsExt::from_mode(0o644)).tempfile_in(folder)?;
+        Ok(Self(Target::Beside { file: BufWriter::new(file), place }))
+    }
+
+    /// Puts the file in its place.
+    ///
+    /// # Errors
+    /// When the disk does not take it.
+    pub fn finish(self) -> io::Result<()> {
+        match self.0 {
+            Target::Beside { file, place } => {
+                let file = file.into_inner().map_err(io::IntoInnerError::into_error)?;
+                file.persist(place).map(drop).map_err(|error| error.error)
+            }
+            Target::Through(mut file) => file.flush(),
+        }
+    }
+}
+
+impl Write for WholeFile {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        match &mut self.0 {
+            Target::Beside { file, .. } => file.write(bytes),
+            Target::Through(file) => file.write(bytes),
+        }
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        match &mut self.0 {
+            Target::Beside { file, .. } => file.flush(),
+            Target::Through(file) => file.flush(),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+    use std::fs;
+
+    #[test]
+    fn a_file_appears_only_when_it_is_finished() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("journal.jsonl");
+        let mut file = WholeFile::create(&path).unwrap();
+        file.write_all(b"one").unwrap();
+        drop(file);
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 0);
+        let mut file = WholeFile::create(&path).unwrap();
+        file.write_all(b"two").unwrap();
+        assert!(!path.exists());
+        file.finish().unwrap();
+        assert_eq!(fs::read(&path).unwrap(), b"two");
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
+    }
+
+    #[test]
+    fn devices_are_written_through_and_folders_refused() {
+        WholeFile::create(Path::new("/dev/null")).unwrap().finish().unwrap();
+        assert!(!Path::new("/dev/null").metadata().unwrap().is_file());
+        assert!(WholeFile::create(tempfile::tempdir().unwrap().path()).is_err());
+        assert!(WholeFile::create(Path::new("/no/such/folder/file")).is_err());
+    }
+
+    #[test]
+    fn a_link_stays_a_link() {
+        let folder = tempfile::tempdir().unwrap();
+        let (file, link) = (folder.path().join("a"), folder.path().join("b"));
+        fs::write(&file, "old").unwrap();
+        std::os::unix::fs::symlink(&file, &link).unwrap();
+        let mut whole = WholeFile::create(&link).unwrap();
+        whole.write_all(b"new").unwrap();
+        whole.finish().unwrap();
+        assert_eq!(fs::read(&file).unwrap(), b"new");
+        assert!(link.is_symlink());
+    }
+}
