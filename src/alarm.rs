@@ -192,7 +192,10 @@ impl Alarm {
     }
 
     fn judged(&mut self, now: Duration, evidence: bool, settled: bool) {
-        let since = self.last_judged.map_or(Duration::ZERO, |last| now.saturating_sub(last)).min(STEP_MAX);
+        let since = self
+            .last_judged
+            .map_or(Duration::ZERO, |last| now.saturating_sub(last))
+            .min(STEP_MAX);
         self.last_judged = Some(now);
         self.settled |= settled;
         if !self.settled {
@@ -215,7 +218,9 @@ impl Alarm {
         }
         (self.state, self.reason) = match self.suspect_since {
             _ if self.in_gap => (AlarmState::Gap, Reason::Abrupt),
-            Some(since) if now.saturating_sub(since) <= SUSPECT_MAX => (AlarmState::Suspect, Reason::Abrupt),
+            Some(since) if now.saturating_sub(since) <= SUSPECT_MAX => {
+                (AlarmState::Suspect, Reason::Abrupt)
+            }
             _ => (AlarmState::Ok, Reason::None),
         };
     }
@@ -225,7 +230,11 @@ impl Alarm {
         if now.saturating_sub(since) < STALE {
             return;
         }
-        self.state = if reason.is_sensor_fault() { AlarmState::SensorFault } else { AlarmState::Unavailable };
+        self.state = if reason.is_sensor_fault() {
+            AlarmState::SensorFault
+        } else {
+            AlarmState::Unavailable
+        };
         self.reason = reason;
     }
 }
@@ -238,14 +247,17 @@ mod tests {
     fn changes(fps: u32, days: &[(f64, Option<f64>)]) -> Vec<(u128, AlarmState)> {
         let mut alarm = Alarm::default();
         let mut seen = vec![];
-        let mut frame = 0;
+        let mut frame = 0_u32;
         let mut until = 0.0;
         for &(seconds, score) in days {
             until += seconds;
             while f64::from(frame) / f64::from(fps) < until - 1e-9 {
                 let now = Duration::from_secs(frame.into()) / fps;
                 let judgement = match score {
-                    Some(score) => Judgement::Score { score, settled: now >= Duration::from_secs(1) },
+                    Some(score) => Judgement::Score {
+                        score,
+                        settled: now >= Duration::from_secs(1),
+                    },
                     None => Judgement::Cannot(Reason::Black),
                 };
                 alarm.step(now, judgement);
@@ -260,29 +272,51 @@ mod tests {
 
     #[test]
     fn a_clear_road_is_ok_and_stays_so() {
-        assert_eq!(changes(10, &[(60.0, Some(0.4))]), [(0, AlarmState::Init), (1_000, AlarmState::Ok)]);
+        assert_eq!(
+            changes(10, &[(60.0, Some(0.4))]),
+            [(0, AlarmState::Init), (1_000, AlarmState::Ok)]
+        );
     }
 
     #[test]
-    fn a_gap_is_reported_after_a_second_and_ends_two_seconds_after_the_evidence_at_any_frame_rate() {
+    fn a_gap_is_reported_after_a_second_and_ends_two_seconds_after_the_evidence_at_any_frame_rate()
+    {
         for fps in [5, 10, 30, 50] {
-            let seen = changes(fps, &[(5.0, Some(0.1)), (5.0, Some(2.0)), (10.0, Some(0.1))]);
+            let seen = changes(
+                fps,
+                &[(5.0, Some(0.1)), (5.0, Some(2.0)), (10.0, Some(0.1))],
+            );
             let states: Vec<AlarmState> = seen.iter().map(|&(_, state)| state).collect();
             assert_eq!(
                 states,
-                [AlarmState::Init, AlarmState::Ok, AlarmState::Suspect, AlarmState::Gap, AlarmState::Ok],
+                [
+                    AlarmState::Init,
+                    AlarmState::Ok,
+                    AlarmState::Suspect,
+                    AlarmState::Gap,
+                    AlarmState::Ok
+                ],
                 "{fps} frames/s"
             );
             let (gap, ok) = (seen[3].0, seen[4].0);
-            assert!((5_700..=6_000).contains(&gap), "{fps} frames/s: Gap at {gap} ms");
-            assert!((11_700..=12_050).contains(&ok), "{fps} frames/s: Ok at {ok} ms");
+            assert!(
+                (5_700..=6_000).contains(&gap),
+                "{fps} frames/s: Gap at {gap} ms"
+            );
+            assert!(
+                (11_700..=12_050).contains(&ok),
+                "{fps} frames/s: Ok at {ok} ms"
+            );
         }
     }
 
     #[test]
     fn a_short_flicker_is_suspect_but_no_gap() {
         let seen = changes(10, &[(5.0, Some(0.1)), (0.4, Some(3.0)), (10.0, Some(0.1))]);
-        assert!(seen.iter().all(|&(_, state)| state != AlarmState::Gap), "{seen:?}");
+        assert!(
+            seen.iter().all(|&(_, state)| state != AlarmState::Gap),
+            "{seen:?}"
+        );
         assert!(seen.iter().any(|&(_, state)| state == AlarmState::Suspect));
     }
 
@@ -293,9 +327,23 @@ mod tests {
         let mut longest = 0;
         let mut run = 0;
         for frame in 0..600_u32 {
-            let score = if frame > 20 && frame % 3 == 0 { 2.0 } else { 0.0 };
-            alarm.step(Duration::from_millis(100) * frame, Judgement::Score { score, settled: frame > 10 });
-            run = if alarm.state() == AlarmState::Suspect { run + 1 } else { 0 };
+            let score = if frame > 20 && frame % 3 == 0 {
+                2.0
+            } else {
+                0.0
+            };
+            alarm.step(
+                Duration::from_millis(100) * frame,
+                Judgement::Score {
+                    score,
+                    settled: frame > 10,
+                },
+            );
+            run = if alarm.state() == AlarmState::Suspect {
+                run + 1
+            } else {
+                0
+            };
             longest = longest.max(run);
             assert_ne!(alarm.state(), AlarmState::Gap);
         }
@@ -324,21 +372,57 @@ mod tests {
             (alarm.state(), alarm.gap_stored())
         };
         for tenth in 0..40 {
-            step(tenth, Judgement::Score { score: 5.0, settled: true });
+            step(
+                tenth,
+                Judgement::Score {
+                    score: 5.0,
+                    settled: true,
+                },
+            );
         }
         for tenth in 40..60 {
             step(tenth, Judgement::Cannot(Reason::Undefined));
         }
-        assert_eq!(step(60, Judgement::Cannot(Reason::Undefined)), (AlarmState::Unavailable, true));
-        assert_eq!(step(61, Judgement::Score { score: 5.0, settled: true }), (AlarmState::Gap, true));
+        assert_eq!(
+            step(60, Judgement::Cannot(Reason::Undefined)),
+            (AlarmState::Unavailable, true)
+        );
+        assert_eq!(
+            step(
+                61,
+                Judgement::Score {
+                    score: 5.0,
+                    settled: true
+                }
+            ),
+            (AlarmState::Gap, true)
+        );
         for tenth in 62..120 {
-            step(tenth, Judgement::Score { score: 0.0, settled: true });
+            step(
+                tenth,
+                Judgement::Score {
+                    score: 0.0,
+                    settled: true,
+                },
+            );
         }
-        assert_eq!(step(120, Judgement::Score { score: 0.0, settled: true }), (AlarmState::Ok, true));
+        assert_eq!(
+            step(
+                120,
+                Judgement::Score {
+                    score: 0.0,
+                    settled: true
+                }
+            ),
+            (AlarmState::Ok, true)
+        );
     }
 
     #[test]
     fn blind_from_the_start_is_not_init_for_ever() {
-        assert_eq!(changes(10, &[(5.0, None)]), [(0, AlarmState::Init), (500, AlarmState::SensorFault)]);
+        assert_eq!(
+            changes(10, &[(5.0, None)]),
+            [(0, AlarmState::Init), (500, AlarmState::SensorFault)]
+        );
     }
 }

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use gapwatch::calibration::{PaperBinning, Temperature};
+use gapwatch::can::Sink;
 use gapwatch::gap::Metric;
 use gapwatch::model::ModelOptions;
 use gapwatch::scene::Condition;
@@ -48,7 +49,7 @@ pub struct ReplayArgs {
     pub model: ModelArgs,
     /// Where CAN frames go: log:FILE (candump format), log:- or none
     #[arg(long, value_name = "SINK", default_value = "none")]
-    pub can: String,
+    pub can: Sink,
     /// Journal to write, JSON lines
     #[arg(long, value_name = "FILE")]
     pub journal: Option<PathBuf>,
@@ -162,13 +163,24 @@ pub struct ModelArgs {
 impl ModelArgs {
     /// The options without the file.
     pub fn options(&self) -> ModelOptions {
-        ModelOptions { taps: self.taps.clone(), size: self.size.clone(), mean: self.mean, std: self.std, crop: self.crop }
+        ModelOptions {
+            taps: self.taps.clone(),
+            size: self.size.clone(),
+            mean: self.mean,
+            std: self.std,
+            crop: self.crop,
+        }
     }
 }
 
 fn numbers<T: std::str::FromStr, const N: usize>(text: &str) -> Result<[T; N], String> {
-    let numbers: Option<Vec<T>> = text.split(',').map(|number| number.trim().parse().ok()).collect();
-    numbers.and_then(|numbers| numbers.try_into().ok()).ok_or_else(|| format!("wanted {N} numbers between commas"))
+    let numbers: Option<Vec<T>> = text
+        .split(',')
+        .map(|number| number.trim().parse().ok())
+        .collect();
+    numbers
+        .and_then(|numbers| numbers.try_into().ok())
+        .ok_or_else(|| format!("wanted {N} numbers between commas"))
 }
 
 fn seconds(text: &str) -> Result<f64, String> {
@@ -177,11 +189,20 @@ fn seconds(text: &str) -> Result<f64, String> {
 }
 
 fn metrics(text: &str) -> Result<Metrics, String> {
-    if text == "all" { Ok(Metrics(Metric::ALL.to_vec())) } else { text.parse().map(|metric| Metrics(vec![metric])) }
+    if text == "all" {
+        Ok(Metrics(Metric::ALL.to_vec()))
+    } else {
+        text.parse().map(|metric| Metrics(vec![metric]))
+    }
 }
 
 fn temperature(text: &str) -> Result<Temperature, String> {
-    let positive = |number: &str| number.parse::<f64>().ok().filter(|t| t.is_normal() && *t > 0.0);
+    let positive = |number: &str| {
+        number
+            .parse::<f64>()
+            .ok()
+            .filter(|t| t.is_normal() && *t > 0.0)
+    };
     match text.strip_suffix("peak") {
         Some(share) => positive(share).map(Temperature::OfPeak),
         None => positive(text).map(Temperature::Absolute),
@@ -194,7 +215,9 @@ fn temperature(text: &str) -> Result<Temperature, String> {
 /// Each scene is one moment of a drive of its own. DIR gets frames/NNNNNN.png (RGB), masks/NNNNNN.png (255 on a lane
 /// line) and scenes.jsonl (seed, time and conditions of each).
 #[derive(Debug, Args)]
-#[command(after_help = "Example:\n  gapwatch scene --out scenes --count 100 --seed 7 --condition fog:3")]
+#[command(
+    after_help = "Example:\n  gapwatch scene --out scenes --count 100 --seed 7 --condition fog:3"
+)]
 pub struct SceneArgs {
     /// Folder to write; must not exist or be empty
     #[arg(long, value_name = "DIR")]
@@ -226,7 +249,14 @@ impl std::str::FromStr for PictureSize {
     fn from_str(text: &str) -> Result<Self, String> {
         let side = |side: &str| side.parse().ok().filter(|s| (16..=8_192).contains(s));
         text.split_once('x')
-            .and_then(|(width, height)| Some(Self { width: side(width)?, height: side(height)? }))
-            .ok_or_else(|| "wanted WIDTHxHEIGHT, each from 16 to 8192, for example 320x160".to_owned())
+            .and_then(|(width, height)| {
+                Some(Self {
+                    width: side(width)?,
+                    height: side(height)?,
+                })
+            })
+            .ok_or_else(|| {
+                "wanted WIDTHxHEIGHT, each from 16 to 8192, for example 320x160".to_owned()
+            })
     }
 }

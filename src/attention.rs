@@ -20,7 +20,11 @@ pub struct EnergyMap {
 impl EnergyMap {
     /// Smallest and largest energy.
     pub fn range(&self) -> (f64, f64) {
-        self.energy.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), &g| (low.min(g), high.max(g)))
+        self.energy
+            .iter()
+            .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), &g| {
+                (low.min(g), high.max(g))
+            })
     }
 }
 
@@ -33,7 +37,11 @@ impl EnergyMap {
 /// `NotFinite` at the first NaN or infinity, `ConstantMap` when every cell has the same energy.
 ///
 /// Source: Zagoruyko and Komodakis 2017 (sum of squares over channels); G2sum in Hou et al. 2019.
-pub fn energy_from_features(tap: &str, features: &FeatureMap<'_>, map: &mut EnergyMap) -> Result<(), Undefined> {
+pub fn energy_from_features(
+    tap: &str,
+    features: &FeatureMap<'_>,
+    map: &mut EnergyMap,
+) -> Result<(), Undefined> {
     let [_, height, width] = features.shape;
     let cells = height * width;
     (map.width, map.height) = (width, height);
@@ -46,7 +54,12 @@ pub fn energy_from_features(tap: &str, features: &FeatureMap<'_>, map: &mut Ener
         }
     }
     if let Some(cell) = map.energy.iter().position(|g| !g.is_finite()) {
-        let channel = features.activations.iter().skip(cell).step_by(cells).position(|a| !a.is_finite());
+        let channel = features
+            .activations
+            .iter()
+            .skip(cell)
+            .step_by(cells)
+            .position(|a| !a.is_finite());
         return Err(Undefined::NotFinite {
             tap: tap.to_owned(),
             channel: channel.unwrap_or_default(),
@@ -83,7 +96,10 @@ struct Tap {
 impl Upsampler {
     /// From maps of `from` (width, height) to maps of `to`.
     pub fn new(from: (usize, usize), to: (usize, usize)) -> Self {
-        Self { columns: taps(from.0, to.0), rows: taps(from.1, to.1) }
+        Self {
+            columns: taps(from.0, to.0),
+            rows: taps(from.1, to.1),
+        }
     }
 
     /// Writes the resampled map in place; allocates only when its size changes.
@@ -94,7 +110,9 @@ impl Upsampler {
             let near = &map.energy[row.near * map.width..][..map.width];
             let far = &map.energy[row.far * map.width..][..map.width];
             common.energy.extend(self.columns.iter().map(|column| {
-                let across = |line: &[f64]| line[column.near] + column.share_of_far * (line[column.far] - line[column.near]);
+                let across = |line: &[f64]| {
+                    line[column.near] + column.share_of_far * (line[column.far] - line[column.near])
+                };
                 let (near, far) = (across(near), across(far));
                 near + row.share_of_far * (far - near)
             }));
@@ -104,12 +122,21 @@ impl Upsampler {
 
 fn taps(from: usize, to: usize) -> Vec<Tap> {
     // Sizes are those of feature maps: far below 2^52.
-    #[allow(clippy::cast_precision_loss, clippy::cast_possible_truncation, clippy::cast_sign_loss)]
+    #[allow(
+        clippy::cast_precision_loss,
+        clippy::cast_possible_truncation,
+        clippy::cast_sign_loss
+    )]
     (0..to)
         .map(|i| {
-            let at = ((i as f64 + 0.5) * from as f64 / to as f64 - 0.5).clamp(0.0, (from - 1) as f64);
+            let at =
+                ((i as f64 + 0.5) * from as f64 / to as f64 - 0.5).clamp(0.0, (from - 1) as f64);
             let near = (at.floor() as usize).min(from - 1);
-            Tap { near, far: (near + 1).min(from - 1), share_of_far: at - near as f64 }
+            Tap {
+                near,
+                far: (near + 1).min(from - 1),
+                share_of_far: at - near as f64,
+            }
         })
         .collect()
 }
@@ -121,13 +148,17 @@ mod tests {
 
     fn energy(shape: [usize; 3], activations: &[f32]) -> Result<Vec<f64>, Undefined> {
         let mut map = EnergyMap::default();
-        energy_from_features("e2", &FeatureMap { shape, activations }, &mut map).map(|()| map.energy)
+        energy_from_features("e2", &FeatureMap { shape, activations }, &mut map)
+            .map(|()| map.energy)
     }
 
     #[test]
     fn energy_is_the_sum_of_squares_over_channels() {
         // Two channels of 1x3: (1, -2, 3) and (0, 4, -1).
-        assert_eq!(energy([2, 1, 3], &[1.0, -2.0, 3.0, 0.0, 4.0, -1.0]).unwrap(), [1.0, 20.0, 10.0]);
+        assert_eq!(
+            energy([2, 1, 3], &[1.0, -2.0, 3.0, 0.0, 4.0, -1.0]).unwrap(),
+            [1.0, 20.0, 10.0]
+        );
     }
 
     #[test]
@@ -144,7 +175,12 @@ mod tests {
             activations[6 + 5] = bad;
             assert_eq!(
                 energy([2, 2, 3], &activations),
-                Err(Undefined::NotFinite { tap: "e2".into(), channel: 1, row: 1, column: 2 })
+                Err(Undefined::NotFinite {
+                    tap: "e2".into(),
+                    channel: 1,
+                    row: 1,
+                    column: 2
+                })
             );
         }
         assert_eq!(energy([3, 2, 2], &[0.0; 12]), Err(Undefined::ConstantMap));
@@ -153,7 +189,11 @@ mod tests {
 
     #[test]
     fn upsampling_has_half_pixel_centres() {
-        let map = EnergyMap { width: 2, height: 1, energy: vec![0.0, 8.0] };
+        let map = EnergyMap {
+            width: 2,
+            height: 1,
+            energy: vec![0.0, 8.0],
+        };
         let mut common = EnergyMap::default();
         Upsampler::new((2, 1), (4, 2)).resample(&map, &mut common);
         // PyTorch: interpolate([0, 8], scale 2, align_corners=False) = [0, 2, 6, 8].
@@ -162,7 +202,11 @@ mod tests {
 
     #[test]
     fn a_map_of_the_common_size_stays_as_it_is() {
-        let map = EnergyMap { width: 3, height: 2, energy: vec![1.0, 5.0, 2.0, 0.0, 7.0, 3.0] };
+        let map = EnergyMap {
+            width: 3,
+            height: 2,
+            energy: vec![1.0, 5.0, 2.0, 0.0, 7.0, 3.0],
+        };
         let mut common = EnergyMap::default();
         Upsampler::new((3, 2), (3, 2)).resample(&map, &mut common);
         assert_eq!(common, map);

@@ -73,8 +73,11 @@ pub struct PaperBinning {
 
 impl PaperBinning {
     /// As published.
-    pub const PUBLISHED: Self =
-        Self { temperature: Temperature::Absolute(PAPER_TEMPERATURE), levels: PAPER_LEVELS, first: PAPER_FIRST_LEVEL };
+    pub const PUBLISHED: Self = Self {
+        temperature: Temperature::Absolute(PAPER_TEMPERATURE),
+        levels: PAPER_LEVELS,
+        first: PAPER_FIRST_LEVEL,
+    };
 }
 
 /// Nominal histograms of one tap before thresholds: the common part of references and comparisons.
@@ -94,8 +97,12 @@ impl TapHistogram {
     /// # Errors
     /// `TooFewImages` without any map, `ConstantMap` for a constant one.
     pub fn fit(maps: &[EnergyMap], metric: Metric, paper: PaperBinning) -> Result<Self, Undefined> {
-        let median_peak_energy = median(maps.iter().map(|map| map.range().1).collect())
-            .ok_or(Undefined::TooFewImages { found: 0, wanted: 1 })?;
+        let median_peak_energy = median(maps.iter().map(|map| map.range().1).collect()).ok_or(
+            Undefined::TooFewImages {
+                found: 0,
+                wanted: 1,
+            },
+        )?;
         let binning = match metric {
             Metric::Paper => Binning::Attention {
                 temperature: match paper.temperature {
@@ -105,19 +112,28 @@ impl TapHistogram {
                 levels: paper.levels,
                 first: paper.first,
             },
-            Metric::AttentionJs => {
-                Binning::Attention { temperature: TEMPERATURE_SHARE * median_peak_energy, levels: PAPER_LEVELS, first: 0 }
-            }
+            Metric::AttentionJs => Binning::Attention {
+                temperature: TEMPERATURE_SHARE * median_peak_energy,
+                levels: PAPER_LEVELS,
+                first: 0,
+            },
             Metric::LogEnergyJs => {
                 let epsilon = EPSILON_SHARE * median_peak_energy;
-                Binning::LogEnergy { epsilon, edges: equal_mass_edges(maps, epsilon) }
+                Binning::LogEnergy {
+                    epsilon,
+                    edges: equal_mass_edges(maps, epsilon),
+                }
             }
         };
         let mut sum = HistogramSum::new(binning.bins());
         for map in maps {
             sum.add(&counts_of(&binning, map)?);
         }
-        Ok(Self { median_peak_energy, binning, sum })
+        Ok(Self {
+            median_peak_energy,
+            binning,
+            sum,
+        })
     }
 }
 
@@ -131,10 +147,17 @@ pub fn counts_of(binning: &Binning, map: &EnergyMap) -> Result<Vec<u32>, Undefin
 }
 
 /// Inner edges of bins of equal mass, on cells of a fine grid; edges that tie are merged.
-#[allow(clippy::cast_precision_loss, clippy::cast_possible_truncation, clippy::cast_sign_loss)]
+#[allow(
+    clippy::cast_precision_loss,
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss
+)]
 fn equal_mass_edges(maps: &[EnergyMap], epsilon: f64) -> Vec<f64> {
     let low = epsilon.ln();
-    let high = maps.iter().map(|map| (map.range().1 + epsilon).ln()).fold(low, f64::max);
+    let high = maps
+        .iter()
+        .map(|map| (map.range().1 + epsilon).ln())
+        .fold(low, f64::max);
     let cell = (high - low) / GRID_CELLS as f64;
     let mut grid = vec![0_u64; GRID_CELLS + 1];
     for &g in maps.iter().flat_map(|map| &map.energy) {
@@ -168,14 +191,25 @@ fn split(surveys: &[Survey]) -> Vec<Split<'_>> {
         (false, 0) => frames,
         (false, _) => 0,
     };
-    surveys.iter().enumerate().map(|(i, survey)| Split { survey, fitted: share(i, survey.frames.len()) }).collect()
+    surveys
+        .iter()
+        .enumerate()
+        .map(|(i, survey)| Split {
+            survey,
+            fitted: share(i, survey.frames.len()),
+        })
+        .collect()
 }
 
 /// Nominal attention of every tap, from surveys of nominal sources.
 ///
 /// # Errors
 /// When a frame cannot be judged or too few are at hand.
-pub fn calibrate(surveys: &[Survey], taps: &[String], metric: Metric) -> Result<(Vec<TapReference>, Vec<SourceUse>), CalibrationError> {
+pub fn calibrate(
+    surveys: &[Survey],
+    taps: &[String],
+    metric: Metric,
+) -> Result<(Vec<TapReference>, Vec<SourceUse>), CalibrationError> {
     let splits = split(surveys);
     let uses: Vec<SourceUse> = splits
         .iter()
@@ -189,7 +223,10 @@ pub fn calibrate(surveys: &[Survey], taps: &[String], metric: Metric) -> Result<
     let held_out: u64 = uses.iter().map(|u| u.held_out).sum();
     if held_out < HELD_OUT_MIN as u64 {
         let found = usize::try_from(held_out).unwrap_or(usize::MAX);
-        return Err(CalibrationError::TooFew(Undefined::TooFewImages { found, wanted: HELD_OUT_MIN }));
+        return Err(CalibrationError::TooFew(Undefined::TooFewImages {
+            found,
+            wanted: HELD_OUT_MIN,
+        }));
     }
     let references = taps
         .iter()
@@ -199,19 +236,39 @@ pub fn calibrate(surveys: &[Survey], taps: &[String], metric: Metric) -> Result<
     Ok((references, uses))
 }
 
-fn tap_reference(splits: &[Split<'_>], index: usize, tap: &str, metric: Metric) -> Result<TapReference, CalibrationError> {
-    let wrong = |why| CalibrationError::Comparison { tap: tap.to_owned(), metric, why };
+fn tap_reference(
+    splits: &[Split<'_>],
+    index: usize,
+    tap: &str,
+    metric: Metric,
+) -> Result<TapReference, CalibrationError> {
+    let wrong = |why| CalibrationError::Comparison {
+        tap: tap.to_owned(),
+        metric,
+        why,
+    };
     let (mut fitted, mut held_out) = (Vec::new(), Vec::new());
     for split in splits {
         let mut kept = Vec::new();
         for (frame, map) in split.survey.common_maps(index).enumerate() {
-            let map = map.map_err(|why| CalibrationError::Frame { source_name: split.survey.source.clone(), frame, why })?;
-            if frame < split.fitted { fitted.push(map) } else { kept.push(map) }
+            let map = map.map_err(|why| CalibrationError::Frame {
+                source_name: split.survey.source.clone(),
+                frame,
+                why,
+            })?;
+            if frame < split.fitted {
+                fitted.push(map)
+            } else {
+                kept.push(map)
+            }
         }
         held_out.push(kept);
     }
-    let TapHistogram { median_peak_energy, binning, sum } =
-        TapHistogram::fit(&fitted, metric, PaperBinning::PUBLISHED).map_err(wrong)?;
+    let TapHistogram {
+        median_peak_energy,
+        binning,
+        sum,
+    } = TapHistogram::fit(&fitted, metric, PaperBinning::PUBLISHED).map_err(wrong)?;
     drop(fitted);
     let counts: Vec<Vec<Vec<u32>>> = held_out
         .iter()
@@ -223,23 +280,45 @@ fn tap_reference(splits: &[Split<'_>], index: usize, tap: &str, metric: Metric) 
         .filter_map(|frames| scale_point(&counts, frames, &sum, metric).transpose())
         .collect::<Result<_, _>>()
         .map_err(wrong)?;
-    Ok(TapReference { tap: tap.to_owned(), median_peak_energy, binning, images: sum.images, counts: sum.counts, scale })
+    Ok(TapReference {
+        tap: tap.to_owned(),
+        median_peak_energy,
+        binning,
+        images: sum.images,
+        counts: sum.counts,
+        scale,
+    })
 }
 
 /// Median and threshold over windows of `frames` consecutive held-out frames; `None` without enough windows.
-fn scale_point(sources: &[Vec<Vec<u32>>], frames: usize, nominal: &HistogramSum, metric: Metric) -> Result<Option<ScalePoint>, Undefined> {
+fn scale_point(
+    sources: &[Vec<Vec<u32>>],
+    frames: usize,
+    nominal: &HistogramSum,
+    metric: Metric,
+) -> Result<Option<ScalePoint>, Undefined> {
     let mut gaps = Vec::new();
-    for window in sources.iter().flat_map(|counts| counts.chunks_exact(frames)) {
+    for window in sources
+        .iter()
+        .flat_map(|counts| counts.chunks_exact(frames))
+    {
         let mut sum = HistogramSum::new(nominal.counts.len());
         window.iter().for_each(|counts| sum.add(counts));
         gaps.push(metric.compare(&sum.counts, &nominal.counts)?.gap);
     }
     let windows = gaps.len();
     let worst = gaps.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-    let Some(median) = median(gaps).filter(|_| windows >= 2) else { return Ok(None) };
+    let Some(median) = median(gaps).filter(|_| windows >= 2) else {
+        return Ok(None);
+    };
     // A metric that cannot tell windows apart still gets a threshold above its median.
     let threshold = (median + THRESHOLD_MARGIN * (worst - median)).max(median + 1e-9);
-    Ok(Some(ScalePoint { frames, windows, median, threshold }))
+    Ok(Some(ScalePoint {
+        frames,
+        windows,
+        median,
+        threshold,
+    }))
 }
 
 /// The middle value; the mean of the two middle ones for an even count.
@@ -256,15 +335,28 @@ mod tests {
     use super::*;
 
     fn ramp(from: usize, to: usize) -> EnergyMap {
-        let energy: Vec<f64> = (from..to).map(|i| (i as f64 / 100.0).exp()).collect();
-        EnergyMap { width: energy.len(), height: 1, energy }
+        let energy: Vec<f64> = (from..to).map(|i| (i as f64 / 1_000.0).exp()).collect();
+        EnergyMap {
+            width: energy.len(),
+            height: 1,
+            energy,
+        }
     }
 
     #[test]
     fn edges_cut_the_reference_into_equal_masses() {
-        let fitted = TapHistogram::fit(&[ramp(0, 6_400)], Metric::LogEnergyJs, PaperBinning::PUBLISHED).unwrap();
+        let fitted = TapHistogram::fit(
+            &[ramp(0, 6_400)],
+            Metric::LogEnergyJs,
+            PaperBinning::PUBLISHED,
+        )
+        .unwrap();
         assert_eq!(fitted.sum.counts.len(), LOG_ENERGY_BINS);
-        assert!(fitted.sum.counts.iter().all(|&n| (98..=102).contains(&n)), "{:?}", fitted.sum.counts);
+        assert!(
+            fitted.sum.counts.iter().all(|&n| (98..=102).contains(&n)),
+            "{:?}",
+            fitted.sum.counts
+        );
     }
 
     #[test]
@@ -272,19 +364,36 @@ mod tests {
         // Three quarters of the pixels have no energy: they fill one bin, and the rest shares the other 16 or so.
         let mut map = ramp(0, 1_600);
         map.energy.extend(vec![0.0; 4_800]);
-        let fitted = TapHistogram::fit(&[map], Metric::LogEnergyJs, PaperBinning::PUBLISHED).unwrap();
+        let fitted =
+            TapHistogram::fit(&[map], Metric::LogEnergyJs, PaperBinning::PUBLISHED).unwrap();
         assert_eq!(fitted.sum.counts[0], 4_800);
-        assert!((15..=18).contains(&fitted.sum.counts.len()), "{}", fitted.sum.counts.len());
+        assert!(
+            (15..=18).contains(&fitted.sum.counts.len()),
+            "{}",
+            fitted.sum.counts.len()
+        );
         assert!(fitted.sum.counts.iter().all(|&n| n > 0));
     }
 
     #[test]
     fn the_median_peak_sets_the_temperature() {
-        let peak = |p: f64| EnergyMap { width: 2, height: 1, energy: vec![0.0, p] };
+        let peak = |p: f64| EnergyMap {
+            width: 2,
+            height: 1,
+            energy: vec![0.0, p],
+        };
         let maps = [peak(10.0), peak(1_000.0), peak(30.0)];
-        let fitted = TapHistogram::fit(&maps, Metric::AttentionJs, PaperBinning::PUBLISHED).unwrap();
+        let fitted =
+            TapHistogram::fit(&maps, Metric::AttentionJs, PaperBinning::PUBLISHED).unwrap();
         assert_eq!(fitted.median_peak_energy, 30.0);
-        assert!(matches!(fitted.binning, Binning::Attention { temperature: 6.0, levels: 256, first: 0 }));
+        assert!(matches!(
+            fitted.binning,
+            Binning::Attention {
+                temperature: 6.0,
+                levels: 256,
+                first: 0
+            }
+        ));
     }
 
     #[test]

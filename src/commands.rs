@@ -36,6 +36,10 @@ impl Model {
         let spec = ModelSpec::new(args.model.as_deref(), args.options())?;
         let encoder = Encoder::load(&spec)?;
         let fingerprint = ModelFingerprint::new(&spec, &encoder);
-        Ok(Self { spec, encoder, fingerprint })
+        Ok(Self {
+            spec,
+            encoder,
+            fingerprint,
+        })
     }
 }

@@ -81,16 +81,28 @@ impl Detector {
     /// # Errors
     /// Why the window has no gap.
     pub fn observe(&mut self, now: Duration, counts: &[u32]) -> Result<Evidence, Undefined> {
-        if self.times.back().is_some_and(|&last| now < last || now - last > HOLE_WINDOWS * self.span) {
+        if self
+            .times
+            .back()
+            .is_some_and(|&last| now < last || now - last > HOLE_WINDOWS * self.span)
+        {
             self.restart();
         }
-        while self.times.front().is_some_and(|&oldest| now - oldest >= self.span) || self.times.is_full() {
+        while self
+            .times
+            .front()
+            .is_some_and(|&oldest| now - oldest >= self.span)
+            || self.times.is_full()
+        {
             self.forget_oldest();
         }
         let slot = self.next_slot;
         self.next_slot = (slot + 1) % WINDOW_FRAMES_MAX;
         self.ring[slot * counts.len()..][..counts.len()].copy_from_slice(counts);
-        self.sums.iter_mut().zip(counts).for_each(|(sum, &count)| *sum += u64::from(count));
+        self.sums
+            .iter_mut()
+            .zip(counts)
+            .for_each(|(sum, &count)| *sum += u64::from(count));
         // There is room: a full window has lost its oldest above.
         let _ = self.times.push_back(now);
         let began = *self.began.get_or_insert(now);
@@ -108,10 +120,22 @@ impl Detector {
             let (median, threshold) = tap.scale_for(frames);
             let score = (compared.gap - median) / (threshold - median);
             // A reference has at most as many taps as a model.
-            let _ = blocks.push(BlockScore { gap: compared.gap, similarity: compared.similarity, score });
+            let _ = blocks.push(BlockScore {
+                gap: compared.gap,
+                similarity: compared.similarity,
+                score,
+            });
         }
-        let score = blocks.iter().map(|block| block.score).fold(f64::NEG_INFINITY, f64::max);
-        Ok(Evidence { score, blocks, frames, fill })
+        let score = blocks
+            .iter()
+            .map(|block| block.score)
+            .fold(f64::NEG_INFINITY, f64::max);
+        Ok(Evidence {
+            score,
+            blocks,
+            frames,
+            fill,
+        })
     }
 
     fn forget_oldest(&mut self) {
@@ -119,7 +143,10 @@ impl Detector {
         let slot = (self.next_slot + WINDOW_FRAMES_MAX - self.times.len()) % WINDOW_FRAMES_MAX;
         if self.times.pop_front().is_some() {
             let old = &self.ring[slot * bins..][..bins];
-            self.sums.iter_mut().zip(old).for_each(|(sum, &count)| *sum -= u64::from(count));
+            self.sums
+                .iter_mut()
+                .zip(old)
+                .for_each(|(sum, &count)| *sum -= u64::from(count));
         }
     }
 

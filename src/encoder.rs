@@ -47,7 +47,9 @@ pub enum EncoderError {
         width: u32,
     },
     /// A tap that is no stack of maps.
-    #[error("{model}: tap {tap} has shape {found}; wanted [1, channels, height, width] of at least 2 by 2 cells")]
+    #[error(
+        "{model}: tap {tap} has shape {found}; wanted [1, channels, height, width] of at least 2 by 2 cells"
+    )]
     TapShape {
         /// File or built-in name.
         model: String,
@@ -81,21 +83,33 @@ impl Encoder {
     /// # Errors
     /// When the file is no ONNX model, a tap is unknown, or shapes do not fit.
     pub fn load(spec: &ModelSpec) -> Result<Self, EncoderError> {
-        let broken = |why: &dyn std::fmt::Display| EncoderError::Onnx { model: spec.name.clone(), why: why.to_string() };
+        let broken = |why: &dyn std::fmt::Display| EncoderError::Onnx {
+            model: spec.name.clone(),
+            why: why.to_string(),
+        };
         let onnx = tract_onnx::onnx();
-        let proto = onnx.proto_model_for_read(&mut spec.onnx.as_ref()).map_err(|e| broken(&root(&e)))?;
-        let graph = proto.graph.as_ref().ok_or_else(|| broken(&"it has no graph"))?;
+        let proto = onnx
+            .proto_model_for_read(&mut spec.onnx.as_ref())
+            .map_err(|e| broken(&root(&e)))?;
+        let graph = proto
+            .graph
+            .as_ref()
+            .ok_or_else(|| broken(&"it has no graph"))?;
         let parsed = onnx.parse(&proto, None).map_err(|e| broken(&root(&e)))?;
         let mut model = parsed.model;
         let outlets = spec
             .taps
             .iter()
             .map(|tap| {
-                parsed.outlets_by_name.get(tap).copied().ok_or_else(|| EncoderError::NoTap {
-                    model: spec.name.clone(),
-                    tap: tap.clone(),
-                    known: listed(graph.node.iter().flat_map(|node| &node.output)),
-                })
+                parsed
+                    .outlets_by_name
+                    .get(tap)
+                    .copied()
+                    .ok_or_else(|| EncoderError::NoTap {
+                        model: spec.name.clone(),
+                        tap: tap.clone(),
+                        known: listed(graph.node.iter().flat_map(|node| &node.output)),
+                    })
             })
             .collect::<Result<Vec<_>, _>>()?;
         let (width, height) = (spec.preprocessing.width, spec.preprocessing.height);
@@ -108,22 +122,39 @@ impl Encoder {
             width,
         };
         let [input] = model.inputs[..] else {
-            return Err(wrong_input("count", format!("{} inputs", model.inputs.len())));
+            return Err(wrong_input(
+                "count",
+                format!("{} inputs", model.inputs.len()),
+            ));
         };
         let name = model.node(input.node).name.clone();
-        let declared = model.input_fact(0).map_err(|e| broken(&root(&e)))?.shape.clone();
+        let declared = model
+            .input_fact(0)
+            .map_err(|e| broken(&root(&e)))?
+            .shape
+            .clone();
         let wanted = InferenceFact::from(f32::fact(input_shape)).shape;
         if declared.unify(&wanted).is_err() {
             return Err(wrong_input(&name, format!("{declared:?}")));
         }
-        model.set_input_fact(0, f32::fact(input_shape).into()).map_err(|e| broken(&root(&e)))?;
-        model.select_output_outlets(&outlets).map_err(|e| broken(&root(&e)))?;
-        let plan = model.into_optimized().and_then(|m| m.into_runnable()).map_err(|e| broken(&root(&e)))?;
+        model
+            .set_input_fact(0, f32::fact(input_shape).into())
+            .map_err(|e| broken(&root(&e)))?;
+        model
+            .select_output_outlets(&outlets)
+            .map_err(|e| broken(&root(&e)))?;
+        let plan = model
+            .into_optimized()
+            .and_then(|m| m.into_runnable())
+            .map_err(|e| broken(&root(&e)))?;
         let encoder = Self {
             plan,
             taps: spec.taps.clone(),
             input_shape,
-            sha256: Sha256::digest(&spec.onnx).iter().map(|byte| format!("{byte:02x}")).collect(),
+            sha256: Sha256::digest(&spec.onnx)
+                .iter()
+                .map(|byte| format!("{byte:02x}"))
+                .collect(),
         };
         encoder.check_shapes(&spec.name)?;
         Ok(encoder)
@@ -131,15 +162,26 @@ impl Encoder {
 
     fn check_shapes(&self, model: &str) -> Result<(), EncoderError> {
         for (index, tap) in self.taps.iter().enumerate() {
-            let fact = self.plan.model().output_fact(index).map_err(|e| EncoderError::Onnx {
-                model: model.to_owned(),
-                why: root(&e),
-            })?;
-            let fits = fact.shape.as_concrete().is_some_and(|s| matches!(*s, [1, c, h, w] if c > 0 && h > 1 && w > 1))
+            let fact = self
+                .plan
+                .model()
+                .output_fact(index)
+                .map_err(|e| EncoderError::Onnx {
+                    model: model.to_owned(),
+                    why: root(&e),
+                })?;
+            let fits = fact
+                .shape
+                .as_concrete()
+                .is_some_and(|s| matches!(*s, [1, c, h, w] if c > 0 && h > 1 && w > 1))
                 && fact.datum_type == f32::datum_type();
             if !fits {
                 let found = format!("{:?} of {:?}", fact.shape, fact.datum_type);
-                return Err(EncoderError::TapShape { model: model.to_owned(), tap: tap.clone(), found });
+                return Err(EncoderError::TapShape {
+                    model: model.to_owned(),
+                    tap: tap.clone(),
+                    found,
+                });
             }
         }
         Ok(())
@@ -160,8 +202,15 @@ impl Encoder {
     /// # Errors
     /// When tract cannot set up its state.
     pub fn session(&self) -> Result<EncoderSession, EncoderError> {
-        let state = self.plan.spawn().map_err(|e| EncoderError::Onnx { model: self.sha256.clone(), why: root(&e) })?;
-        Ok(EncoderSession { state, input_shape: self.input_shape, outputs: TVec::new() })
+        let state = self.plan.spawn().map_err(|e| EncoderError::Onnx {
+            model: self.sha256.clone(),
+            why: root(&e),
+        })?;
+        Ok(EncoderSession {
+            state,
+            input_shape: self.input_shape,
+            outputs: TVec::new(),
+        })
     }
 }
 
@@ -186,8 +235,14 @@ impl EncoderSession {
                 let [_, channels, height, width] = *output.shape() else {
                     return Err(format!("a tap has shape {:?}", output.shape()));
                 };
-                let activations = output.try_as_plain_ram().and_then(|plain| plain.as_slice::<f32>()).map_err(|e| root(&e))?;
-                Ok(FeatureMap { shape: [channels, height, width], activations })
+                let activations = output
+                    .try_as_plain_ram()
+                    .and_then(|plain| plain.as_slice::<f32>())
+                    .map_err(|e| root(&e))?;
+                Ok(FeatureMap {
+                    shape: [channels, height, width],
+                    activations,
+                })
             })
             .collect()
     }
@@ -195,16 +250,30 @@ impl EncoderSession {
 
 /// tract's chain of contexts in one line, the cause last.
 fn root(error: &TractError) -> String {
-    format!("{error:#}").lines().next().unwrap_or_default().chars().take(300).collect()
+    format!("{error:#}")
+        .lines()
+        .next()
+        .unwrap_or_default()
+        .chars()
+        .take(300)
+        .collect()
 }
 
 /// The names in order, shortened in the middle when there are many.
 fn listed<'a>(names: impl Iterator<Item = &'a String>) -> String {
-    let names: Vec<&str> = names.map(String::as_str).filter(|name| !name.is_empty()).collect();
+    let names: Vec<&str> = names
+        .map(String::as_str)
+        .filter(|name| !name.is_empty())
+        .collect();
     const SHOWN: usize = 60;
     if names.len() <= SHOWN {
         return names.join(", ");
     }
     let (first, last) = (&names[..SHOWN / 2], &names[names.len() - SHOWN / 2..]);
-    format!("{}, … {} more …, {}", first.join(", "), names.len() - SHOWN, last.join(", "))
+    format!(
+        "{}, … {} more …, {}",
+        first.join(", "),
+        names.len() - SHOWN,
+        last.join(", ")
+    )
 }

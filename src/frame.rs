@@ -105,7 +105,9 @@ pub trait FrameSource: Send {
 /// When the name is not understood or nothing readable is behind it.
 pub fn open(name: &str) -> Result<Box<dyn FrameSource>, SourceError> {
     if let Some(spec) = name.strip_prefix("scene:") {
-        return Ok(Box::new(drive::DriveSource::new(&spec.parse::<DriveSpec>()?)));
+        return Ok(Box::new(drive::DriveSource::new(
+            &spec.parse::<DriveSpec>()?,
+        )));
     }
     if let Some(spec) = name.strip_prefix("random:") {
         return Ok(Box::new(random::RandomSource::parse(name, spec)?));
@@ -118,7 +120,10 @@ pub fn open(name: &str) -> Result<Box<dyn FrameSource>, SourceError> {
     }
     let (path, fps) = path_and_fps(name)?;
     if path.is_dir() {
-        return Ok(Box::new(images::ImageSource::folder(path, fps.unwrap_or(FOLDER_FPS))?));
+        return Ok(Box::new(images::ImageSource::folder(
+            path,
+            fps.unwrap_or(FOLDER_FPS),
+        )?));
     }
     if !path.exists() {
         return Err(SourceError::Missing(path.to_owned()));
@@ -144,11 +149,15 @@ pub fn drives(name: &str) -> Result<Vec<String>, SourceError> {
     }) else {
         return Ok(vec![name.to_owned()]);
     };
-    let range = seeds.split_once("..").and_then(|(from, to)| Some((from.parse::<u64>().ok()?, to.parse::<u64>().ok()?)));
+    let range = seeds
+        .split_once("..")
+        .and_then(|(from, to)| Some((from.parse::<u64>().ok()?, to.parse::<u64>().ok()?)));
     match range {
         Some((from, to)) if from <= to && to - from < DRIVES_MAX => {
             let (before, after) = (&name[..start], &name[start + seeds.len()..]);
-            Ok((from..=to).map(|seed| format!("{before}{seed}{after}")).collect())
+            Ok((from..=to)
+                .map(|seed| format!("{before}{seed}{after}"))
+                .collect())
         }
         _ => Err(SourceError::Name {
             found: name.to_owned(),
@@ -188,11 +197,19 @@ mod tests {
     fn a_range_of_seeds_stands_for_one_drive_a_seed() {
         assert_eq!(
             drives("scene:sim?seed=9..11&seconds=5").unwrap(),
-            ["scene:sim?seed=9&seconds=5", "scene:sim?seed=10&seconds=5", "scene:sim?seed=11&seconds=5"]
+            [
+                "scene:sim?seed=9&seconds=5",
+                "scene:sim?seed=10&seconds=5",
+                "scene:sim?seed=11&seconds=5"
+            ]
         );
         assert_eq!(drives("scene:sim?seed=9").unwrap(), ["scene:sim?seed=9"]);
         assert_eq!(drives("a..b").unwrap(), ["a..b"]);
-        for wrong in ["scene:sim?seed=3..1", "scene:sim?seed=..", "scene:sim?seed=0..99999"] {
+        for wrong in [
+            "scene:sim?seed=3..1",
+            "scene:sim?seed=..",
+            "scene:sim?seed=0..99999",
+        ] {
             assert!(drives(wrong).is_err(), "{wrong}");
         }
     }

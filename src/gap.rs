@@ -48,9 +48,17 @@ impl Metric {
     /// `EmptyHistogram` or `ConstantHistogram` when the comparison has no value.
     pub fn compare(self, a: &[u64], b: &[u64]) -> Result<Comparison, Undefined> {
         match self {
-            Self::Paper => pearson::correlation(a, b).map(|r| Comparison { value: r, gap: 1.0 - r, similarity: r }),
+            Self::Paper => pearson::correlation(a, b).map(|r| Comparison {
+                value: r,
+                gap: 1.0 - r,
+                similarity: r,
+            }),
             Self::AttentionJs | Self::LogEnergyJs => {
-                jensen_shannon::divergence_bits(a, b).map(|d| Comparison { value: d, gap: d, similarity: 1.0 - d })
+                jensen_shannon::divergence_bits(a, b).map(|d| Comparison {
+                    value: d,
+                    gap: d,
+                    similarity: 1.0 - d,
+                })
             }
         }
     }
@@ -67,7 +75,10 @@ impl FromStr for Metric {
 
     fn from_str(text: &str) -> Result<Self, String> {
         let names = Self::ALL.map(Self::name).join(", ");
-        Self::ALL.into_iter().find(|m| m.name() == text).ok_or_else(|| format!("wanted one of {names}"))
+        Self::ALL
+            .into_iter()
+            .find(|m| m.name() == text)
+            .ok_or_else(|| format!("wanted one of {names}"))
     }
 }
 

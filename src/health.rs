@@ -33,7 +33,11 @@ impl Health {
     }
 
     /// The latency that a share of the last frames did not exceed; `None` before the first frame.
-    #[allow(clippy::cast_precision_loss, clippy::cast_possible_truncation, clippy::cast_sign_loss)]
+    #[allow(
+        clippy::cast_precision_loss,
+        clippy::cast_possible_truncation,
+        clippy::cast_sign_loss
+    )]
     pub fn latency(&self, share: f64) -> Option<Duration> {
         let mut sorted: heapless::Vec<Duration, FRAMES> = self.latencies.iter().copied().collect();
         sorted.sort_unstable();
@@ -52,7 +56,11 @@ mod tests {
         let mut health = Health::default();
         assert_eq!(health.latency(0.5), None);
         for i in 0..500_u64 {
-            health.note(Duration::from_millis(100 * i), Duration::from_millis(i), i % 2 == 0);
+            health.note(
+                Duration::from_millis(100 * i),
+                Duration::from_millis(i),
+                i % 2 == 0,
+            );
         }
         assert_eq!(health.judged_rate_hz(Duration::from_millis(49_900)), 5.0);
         // The last 128 latencies are 372..=499 ms.

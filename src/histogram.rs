@@ -46,7 +46,11 @@ impl Binning {
             return Err(Undefined::ConstantMap);
         }
         match self {
-            Self::Attention { temperature, levels, first } => {
+            Self::Attention {
+                temperature,
+                levels,
+                first,
+            } => {
                 let attention = ScaledAttention::new(low, high, *temperature);
                 // No pixel below this energy can reach the first counted level.
                 let least = attention.energy_below(level_of_bin(*first, *levels));
@@ -69,14 +73,27 @@ impl Binning {
     /// What is wrong with a binning read from a file, if anything.
     pub fn fault(&self) -> Option<&'static str> {
         match self {
-            Self::Attention { temperature, levels, first } => {
-                let fits = temperature.is_normal() && *temperature > 0.0 && (2..=65_536).contains(levels) && first < levels;
-                (!fits).then_some("wanted a temperature above 0 and a first level below the 2 to 65536 levels")
+            Self::Attention {
+                temperature,
+                levels,
+                first,
+            } => {
+                let fits = temperature.is_normal()
+                    && *temperature > 0.0
+                    && (2..=65_536).contains(levels)
+                    && first < levels;
+                (!fits).then_some(
+                    "wanted a temperature above 0 and a first level below the 2 to 65536 levels",
+                )
             }
             Self::LogEnergy { epsilon, edges } => {
                 let rising = edges.windows(2).all(|pair| pair[0] < pair[1]);
-                let fits = epsilon.is_normal() && *epsilon > 0.0 && edges.iter().all(|e| e.is_finite()) && rising;
-                (!fits || edges.len() > 65_535).then_some("wanted an epsilon above 0 and rising edges")
+                let fits = epsilon.is_normal()
+                    && *epsilon > 0.0
+                    && edges.iter().all(|e| e.is_finite())
+                    && rising;
+                (!fits || edges.len() > 65_535)
+                    .then_some("wanted an epsilon above 0 and rising edges")
             }
         }
     }
@@ -105,7 +122,14 @@ struct ScaledAttention {
 impl ScaledAttention {
     fn new(low: f64, high: f64, temperature: f64) -> Self {
         let depth = (low - high) / temperature;
-        Self { low, high, temperature, coldest: depth.exp(), span: -depth.exp_m1(), nearly_flat: -depth < 1.0 }
+        Self {
+            low,
+            high,
+            temperature,
+            coldest: depth.exp(),
+            span: -depth.exp_m1(),
+            nearly_flat: -depth < 1.0,
+        }
     }
 
     fn at(&self, g: f64) -> f64 {
@@ -121,7 +145,11 @@ impl ScaledAttention {
             return levels - 1;
         }
         // 0 <= at < 1 up to rounding, and levels is at most 65,536.
-        #[allow(clippy::cast_precision_loss, clippy::cast_possible_truncation, clippy::cast_sign_loss)]
+        #[allow(
+            clippy::cast_precision_loss,
+            clippy::cast_possible_truncation,
+            clippy::cast_sign_loss
+        )]
         let level = ((levels - 1) as f64 * self.at(g)).floor().max(0.0) as usize;
         level.min(levels - 1)
     }
@@ -145,18 +173,27 @@ pub struct HistogramSum {
 impl HistogramSum {
     /// Nothing counted yet.
     pub fn new(bins: usize) -> Self {
-        Self { counts: vec![0; bins], images: 0 }
+        Self {
+            counts: vec![0; bins],
+            images: 0,
+        }
     }
 
     /// Adds one image's counts.
     pub fn add(&mut self, counts: &[u32]) {
-        self.counts.iter_mut().zip(counts).for_each(|(sum, &count)| *sum += u64::from(count));
+        self.counts
+            .iter_mut()
+            .zip(counts)
+            .for_each(|(sum, &count)| *sum += u64::from(count));
         self.images += 1;
     }
 
     /// Adds another set.
     pub fn merge(&mut self, other: &Self) {
-        self.counts.iter_mut().zip(&other.counts).for_each(|(sum, count)| *sum += count);
+        self.counts
+            .iter_mut()
+            .zip(&other.counts)
+            .for_each(|(sum, count)| *sum += count);
         self.images += other.images;
     }
 }
@@ -168,7 +205,11 @@ mod tests {
     use proptest::prelude::*;
 
     fn map(energy: &[f64]) -> EnergyMap {
-        EnergyMap { width: energy.len(), height: 1, energy: energy.to_vec() }
+        EnergyMap {
+            width: energy.len(),
+            height: 1,
+            energy: energy.to_vec(),
+        }
     }
 
     fn counted(binning: &Binning, energy: &[f64]) -> Vec<u32> {
@@ -178,7 +219,11 @@ mod tests {
     }
 
     fn attention(temperature: f64, first: usize) -> Binning {
-        Binning::Attention { temperature, levels: 256, first }
+        Binning::Attention {
+            temperature,
+            levels: 256,
+            first,
+        }
     }
 
     #[test]
@@ -202,18 +247,30 @@ mod tests {
                 // The plain form, exact enough in 64 bits unless the map is flat against T.
                 let e = |g: f64| ((g - 100.0) / temperature).exp();
                 let plain = (e(g) - e(0.0)) / (1.0 - e(0.0));
-                assert!((scaled.at(g) - plain).abs() < 1e-9, "T {temperature}, g {g}");
+                assert!(
+                    (scaled.at(g) - plain).abs() < 1e-9,
+                    "T {temperature}, g {g}"
+                );
             }
         }
     }
 
     #[test]
     fn log_energy_counts_every_pixel_once() {
-        let binning = Binning::LogEnergy { epsilon: 1.0, edges: vec![0.5, 1.5, 2.5] };
+        let binning = Binning::LogEnergy {
+            epsilon: 1.0,
+            edges: vec![0.5, 1.5, 2.5],
+        };
         let at = |ln: f64| ln.exp() - 1.0;
-        assert_eq!(counted(&binning, &[0.0, at(1.0), at(2.0), at(2.2), 1e30]), [1, 1, 2, 1]);
+        assert_eq!(
+            counted(&binning, &[0.0, at(1.0), at(2.0), at(2.2), 1e30]),
+            [1, 1, 2, 1]
+        );
         // A value on an edge belongs to the bin above it.
-        let on_edge = Binning::LogEnergy { epsilon: 1.0, edges: vec![2.0_f64.ln()] };
+        let on_edge = Binning::LogEnergy {
+            epsilon: 1.0,
+            edges: vec![2.0_f64.ln()],
+        };
         assert_eq!(counted(&on_edge, &[1.0, 0.999]), [1, 1]);
     }
 
@@ -221,7 +278,10 @@ mod tests {
     fn a_constant_map_is_undefined_and_counts_nothing() {
         let mut counts = vec![0; 256];
         let flat = map(&[4.0; 6]);
-        assert_eq!(attention(1.0, 0).count(&flat, &mut counts), Err(Undefined::ConstantMap));
+        assert_eq!(
+            attention(1.0, 0).count(&flat, &mut counts),
+            Err(Undefined::ConstantMap)
+        );
         assert_eq!(counts, vec![0; 256]);
     }
 

@@ -62,8 +62,15 @@ impl Journal {
     /// # Errors
     /// When nothing can be written beside `path`.
     pub fn create(path: &Path, taps: &[String]) -> Result<Self, JournalError> {
-        let lines = WholeFile::create(path).map_err(|error| JournalError { path: path.to_owned(), error })?;
-        Ok(Self { path: path.to_owned(), lines, taps: taps.to_vec() })
+        let lines = WholeFile::create(path).map_err(|error| JournalError {
+            path: path.to_owned(),
+            error,
+        })?;
+        Ok(Self {
+            path: path.to_owned(),
+            lines,
+            taps: taps.to_vec(),
+        })
     }
 
     /// Adds a verdict and the time it took from frame to verdict.
@@ -71,7 +78,11 @@ impl Journal {
     /// # Errors
     /// When the disk does not take it.
     pub fn add(&mut self, verdict: &Verdict, latency: Duration) -> Result<(), JournalError> {
-        let per_tap = |value| PerTap { taps: &self.taps, blocks: &verdict.blocks, value };
+        let per_tap = |value| PerTap {
+            taps: &self.taps,
+            blocks: &verdict.blocks,
+            value,
+        };
         let line = Line {
             t_s: verdict.at.as_secs_f64(),
             seq: verdict.sequence,
@@ -80,13 +91,19 @@ impl Journal {
             score: verdict.score,
             gap: per_tap(|block| block.gap),
             similarity: per_tap(|block| block.similarity),
-            health: verdict.undefined.as_ref().map_or_else(|| "ok".to_owned(), ToString::to_string),
+            health: verdict
+                .undefined
+                .as_ref()
+                .map_or_else(|| "ok".to_owned(), ToString::to_string),
             latency_ms: latency.as_secs_f64() * 1e3,
         };
         serde_json::to_writer(&mut self.lines, &line)
             .map_err(io::Error::from)
             .and_then(|()| self.lines.write_all(b"\n"))
-            .map_err(|error| JournalError { path: self.path.clone(), error })
+            .map_err(|error| JournalError {
+                path: self.path.clone(),
+                error,
+            })
     }
 
     /// Puts the file in place.
@@ -94,6 +111,9 @@ impl Journal {
     /// # Errors
     /// When the disk does not take it.
     pub fn finish(self) -> Result<(), JournalError> {
-        self.lines.finish().map_err(|error| JournalError { path: self.path, error })
+        self.lines.finish().map_err(|error| JournalError {
+            path: self.path,
+            error,
+        })
     }
 }

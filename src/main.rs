@@ -38,8 +38,17 @@ fn refuse_or_help(error: &clap::Error) -> ExitCode {
         };
     }
     let text = error.render().to_string();
-    let said: Vec<&str> = text.split("\n\n").next().unwrap_or_default().lines().map(str::trim).collect();
-    complain(&format!("{} (see gapwatch --help)", said.join(" ").trim_start_matches("error: ")));
+    let said: Vec<&str> = text
+        .split("\n\n")
+        .next()
+        .unwrap_or_default()
+        .lines()
+        .map(str::trim)
+        .collect();
+    complain(&format!(
+        "{} (see gapwatch --help)",
+        said.join(" ").trim_start_matches("error: ")
+    ));
     ExitCode::from(COULD_NOT)
 }
 

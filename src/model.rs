@@ -95,41 +95,86 @@ impl ModelSpec {
         let (name, onnx, beside) = match file {
             None => {
                 let options = read_options(Path::new("built-in model"), BUILT_IN_OPTIONS)?;
-                (BUILT_IN_NAME.to_owned(), Cow::Borrowed(BUILT_IN_ONNX), options)
+                (
+                    BUILT_IN_NAME.to_owned(),
+                    Cow::Borrowed(BUILT_IN_ONNX),
+                    options,
+                )
             }
             Some(path) => {
-                let onnx = fs::read(path).map_err(|error| ModelError::Unreadable { path: path.to_owned(), error })?;
-                (path.display().to_string(), Cow::Owned(onnx), options_beside(path)?)
+                let onnx = fs::read(path).map_err(|error| ModelError::Unreadable {
+                    path: path.to_owned(),
+                    error,
+                })?;
+                (
+                    path.display().to_string(),
+                    Cow::Owned(onnx),
+                    options_beside(path)?,
+                )
             }
         };
         Self::checked(name, onnx, typed.or(beside))
     }
 
-    fn checked(name: String, onnx: Cow<'static, [u8]>, options: ModelOptions) -> Result<Self, ModelError> {
-        let wrong = |what: &str| ModelError::Option { model: name.clone(), what: what.to_owned() };
-        let taps = options.taps.ok_or_else(|| wrong("no taps; wanted --taps a,b,c or taps in a .toml beside it"))?;
-        if taps.is_empty() || taps.len() > TAPS_MAX || (1..taps.len()).any(|i| taps[..i].contains(&taps[i])) {
+    fn checked(
+        name: String,
+        onnx: Cow<'static, [u8]>,
+        options: ModelOptions,
+    ) -> Result<Self, ModelError> {
+        let wrong = |what: &str| ModelError::Option {
+            model: name.clone(),
+            what: what.to_owned(),
+        };
+        let taps = options
+            .taps
+            .ok_or_else(|| wrong("no taps; wanted --taps a,b,c or taps in a .toml beside it"))?;
+        if taps.is_empty()
+            || taps.len() > TAPS_MAX
+            || (1..taps.len()).any(|i| taps[..i].contains(&taps[i]))
+        {
             return Err(wrong("wanted 1 to 3 taps, each another"));
         }
-        let size = options.size.ok_or_else(|| wrong("no input size; wanted --size WxH or size in a .toml beside it"))?;
-        let side = |side: &str| side.parse::<u32>().ok().filter(|s| (16..=4_096).contains(s));
+        let size = options.size.ok_or_else(|| {
+            wrong("no input size; wanted --size WxH or size in a .toml beside it")
+        })?;
+        let side = |side: &str| {
+            side.parse::<u32>()
+                .ok()
+                .filter(|s| (16..=4_096).contains(s))
+        };
         let (width, height) = size
             .split_once('x')
             .and_then(|(w, h)| Some((side(w)?, side(h)?)))
             .ok_or_else(|| wrong("wanted a size of WxH pixels, each from 16 to 4096"))?;
         let (Some(mean), Some(std)) = (options.mean, options.std) else {
-            return Err(wrong("no normalisation; wanted --mean r,g,b and --std r,g,b of values 0..1, or both in a .toml beside it"));
+            return Err(wrong(
+                "no normalisation; wanted --mean r,g,b and --std r,g,b of values 0..1, or both in a .toml beside it",
+            ));
         };
         if !mean.iter().all(|m| m.is_finite()) || !std.iter().all(|s| s.is_normal() && *s > 0.0) {
             return Err(wrong("wanted finite means and standard deviations above 0"));
         }
         let crop = options.crop.unwrap_or(CROP_NOTHING);
         let [left, top, wide, high] = crop;
-        let inside = |from: f64, length: f64| from >= 0.0 && length > 0.0 && from + length <= 1.0 + 1e-9;
+        let inside =
+            |from: f64, length: f64| from >= 0.0 && length > 0.0 && from + length <= 1.0 + 1e-9;
         if !inside(left, wide) || !inside(top, high) {
-            return Err(wrong("wanted a crop of left, top, width, height inside the picture, as shares from 0 to 1"));
+            return Err(wrong(
+                "wanted a crop of left, top, width, height inside the picture, as shares from 0 to 1",
+            ));
         }
-        Ok(Self { name, onnx, taps, preprocessing: Preprocessing { width, height, mean, std, crop } })
+        Ok(Self {
+            name,
+            onnx,
+            taps,
+            preprocessing: Preprocessing {
+                width,
+                height,
+                mean,
+                std,
+                crop,
+            },
+        })
     }
 }
 
@@ -145,7 +190,12 @@ fn options_beside(model: &Path) -> Result<ModelOptions, ModelError> {
 fn read_options(path: &Path, text: &str) -> Result<ModelOptions, ModelError> {
     toml::from_str(text).map_err(|error| ModelError::Options {
         path: path.to_owned(),
-        why: error.message().lines().next().unwrap_or_default().to_owned(),
+        why: error
+            .message()
+            .lines()
+            .next()
+            .unwrap_or_default()
+            .to_owned(),
     })
 }
 
@@ -156,7 +206,10 @@ mod tests {
 
     fn complaint(options: &str) -> String {
         let options = read_options(Path::new("m.toml"), options);
-        options.and_then(|o| ModelSpec::checked("m.onnx".into(), Cow::Borrowed(b""), o)).unwrap_err().to_string()
+        options
+            .and_then(|o| ModelSpec::checked("m.onnx".into(), Cow::Borrowed(b""), o))
+            .unwrap_err()
+            .to_string()
     }
 
     #[test]
@@ -165,10 +218,19 @@ mod tests {
         for (options, part) in [
             (rest.to_owned(), "--taps"),
             (format!("taps = [\"a\", \"a\"]\n{rest}"), "each another"),
-            ("taps = [\"a\"]\nmean = [0, 0, 0]\nstd = [1, 1, 1]".to_owned(), "--size"),
+            (
+                "taps = [\"a\"]\nmean = [0, 0, 0]\nstd = [1, 1, 1]".to_owned(),
+                "--size",
+            ),
             ("taps = [\"a\"]\nsize = \"32x16\"".to_owned(), "--mean"),
-            ("taps = [\"a\"]\nsize = \"32x16\"\nmean = [0, 0, 0]\nstd = [1, 0, 1]".to_owned(), "above 0"),
-            (format!("taps = [\"a\"]\ncrop = [0, 0.6, 1, 0.6]\n{rest}"), "crop"),
+            (
+                "taps = [\"a\"]\nsize = \"32x16\"\nmean = [0, 0, 0]\nstd = [1, 0, 1]".to_owned(),
+                "above 0",
+            ),
+            (
+                format!("taps = [\"a\"]\ncrop = [0, 0.6, 1, 0.6]\n{rest}"),
+                "crop",
+            ),
             (format!("tips = [\"a\"]\n{rest}"), "tips"),
         ] {
             let said = complaint(&options);

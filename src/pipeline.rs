@@ -59,7 +59,11 @@ impl Monitor {
         let detector = Detector::new(reference);
         Ok(Self {
             stage,
-            binnings: reference.taps.iter().map(|tap| tap.binning.clone()).collect(),
+            binnings: reference
+                .taps
+                .iter()
+                .map(|tap| tap.binning.clone())
+                .collect(),
             upsamplers: vec![None; reference.taps.len()],
             common: EnergyMap::default(),
             counts: vec![0; detector.bins()],
@@ -71,11 +75,16 @@ impl Monitor {
     /// Frame → energies → histograms → window → score → state. Time is the frame's own.
     pub fn step(&mut self, frame: &Frame) -> Verdict {
         let now = frame.captured_at;
-        let evidence = self.count(frame).and_then(|()| self.detector.observe(now, &self.counts));
+        let evidence = self
+            .count(frame)
+            .and_then(|()| self.detector.observe(now, &self.counts));
         self.alarm.step(
             now,
             match &evidence {
-                Ok(seen) => Judgement::Score { score: seen.score, settled: seen.fill >= 1.0 },
+                Ok(seen) => Judgement::Score {
+                    score: seen.score,
+                    settled: seen.fill >= 1.0,
+                },
                 Err(why) => Judgement::Cannot(Reason::from(why)),
             },
         );
@@ -103,8 +112,10 @@ impl Monitor {
         let maps = self.stage.energies(frame)?;
         self.counts.fill(0);
         let mut counts = self.counts.as_mut_slice();
-        for ((map, binning), upsampler) in maps.iter().zip(&self.binnings).zip(&mut self.upsamplers) {
-            let upsampler = upsampler.get_or_insert_with(|| Upsampler::new((map.width, map.height), size));
+        for ((map, binning), upsampler) in maps.iter().zip(&self.binnings).zip(&mut self.upsamplers)
+        {
+            let upsampler =
+                upsampler.get_or_insert_with(|| Upsampler::new((map.width, map.height), size));
             upsampler.resample(map, &mut self.common);
             let (own, rest) = counts.split_at_mut(binning.bins());
             binning.count(&self.common, own)?;

@@ -68,23 +68,38 @@ impl Preprocessor {
         check(picture)?;
         // Bytes in native order: the resizer reads them as 32-bit floats.
         self.wide.clear();
-        self.wide.extend(picture.rgb.iter().flat_map(|&value| f32::from(value).to_ne_bytes()));
+        self.wide.extend(
+            picture
+                .rgb
+                .iter()
+                .flat_map(|&value| f32::from(value).to_ne_bytes()),
+        );
         let [left, top, width, height] = self.of.crop;
         let (full_width, full_height) = (f64::from(picture.width), f64::from(picture.height));
         let options = ResizeOptions::new()
             .resize_alg(ResizeAlg::Convolution(FilterType::Bilinear))
-            .crop(left * full_width, top * full_height, width * full_width, height * full_height)
+            .crop(
+                left * full_width,
+                top * full_height,
+                width * full_width,
+                height * full_height,
+            )
             .use_alpha(false);
         ImageRef::new(picture.width, picture.height, &self.wide, PixelType::F32x3)
             .ok()
             .and_then(|wide| self.resizer.resize(&wide, &mut self.small, &options).ok())
-            .ok_or(Undefined::TooSmall { width: picture.width, height: picture.height })?;
+            .ok_or(Undefined::TooSmall {
+                width: picture.width,
+                height: picture.height,
+            })?;
         let plane = self.of.width as usize * self.of.height as usize;
         for (index, pixel) in self.small.buffer().chunks_exact(12).enumerate() {
             for channel in 0..3 {
                 let at = 4 * channel;
-                let value = f32::from_ne_bytes([pixel[at], pixel[at + 1], pixel[at + 2], pixel[at + 3]]);
-                self.input[channel * plane + index] = (value / 255.0 - self.of.mean[channel]) / self.of.std[channel];
+                let value =
+                    f32::from_ne_bytes([pixel[at], pixel[at + 1], pixel[at + 2], pixel[at + 3]]);
+                self.input[channel * plane + index] =
+                    (value / 255.0 - self.of.mean[channel]) / self.of.std[channel];
             }
         }
         Ok(&self.input)
@@ -114,17 +129,32 @@ mod tests {
     use super::*;
 
     fn of(width: u32, height: u32) -> Preprocessing {
-        Preprocessing { width, height, mean: [0.5, 0.0, 0.0], std: [0.5, 1.0, 2.0], crop: CROP_NOTHING }
+        Preprocessing {
+            width,
+            height,
+            mean: [0.5, 0.0, 0.0],
+            std: [0.5, 1.0, 2.0],
+            crop: CROP_NOTHING,
+        }
     }
 
     fn picture(width: u32, height: u32, value: impl Fn(u32, u32) -> [u8; 3]) -> Picture {
-        let rgb = (0..height).flat_map(|y| (0..width).map(move |x| (x, y))).flat_map(|(x, y)| value(x, y)).collect();
+        let rgb = (0..height)
+            .flat_map(|y| (0..width).map(move |x| (x, y)))
+            .flat_map(|(x, y)| value(x, y))
+            .collect();
         Picture { width, height, rgb }
     }
 
     #[test]
     fn a_picture_of_the_encoders_size_is_only_normalised() {
-        let picture = picture(32, 16, |x, y| [u8::try_from(x * 8).unwrap(), u8::try_from(y * 16).unwrap(), 51]);
+        let picture = picture(32, 16, |x, y| {
+            [
+                u8::try_from(x * 8).unwrap(),
+                u8::try_from(y * 16).unwrap(),
+                51,
+            ]
+        });
         let mut preprocessor = Preprocessor::new(&of(32, 16));
         let input = preprocessor.input(&picture).unwrap();
         let plane = 32 * 16;
@@ -150,22 +180,64 @@ mod tests {
 
     #[test]
     fn a_crop_is_the_picture_of_its_part() {
-        let whole = picture(64, 64, |x, y| [u8::try_from(x * 3).unwrap(), u8::try_from(y * 3).unwrap(), 0]);
-        let lower = Picture { width: 64, height: 32, rgb: whole.rgb[64 * 32 * 3..].to_vec() };
-        let cropped = Preprocessing { crop: [0.0, 0.5, 1.0, 0.5], ..of(32, 16) };
-        let (mut a, mut b) = (Preprocessor::new(&cropped), Preprocessor::new(&of(32, 16)));
-        assert_eq!(a.input(&whole).unwrap(), b.input(&lower).unwrap());
+        let whole = picture(64, 64, |x, y| {
+            [
+                u8::try_from(x * 3).unwrap(),
+                u8::try_from(y * 3).unwrap(),
+                0,
+            ]
+        });
+        let lower = Picture {
+            width: 64,
+            height: 32,
+            rgb: whole.rgb[64 * 32 * 3..].to_vec(),
+        };
+        let cropped = Preprocessing {
+            crop: [0.0, 0.5, 1.0, 0.5],
+            ..of(32, 16)
+        };
+        let (mut of_crop, mut of_part) = (Preprocessor::new(&cropped), Preprocessor::new(&of(32, 16)));
+        let (crop, part) = (of_crop.input(&whole).unwrap(), of_part.input(&lower).unwrap());
+        // The kernel of the first row reaches over the edge of the crop, into pixels that are there.
+        for row in (1..16).chain(17..32).chain(33..48) {
+            let cells = row * 32..row * 32 + 32;
+            assert!(crop[cells.clone()] == part[cells], "row {row} of the planes one after the other");
+        }
     }
 
     #[test]
     fn pictures_that_show_nothing_are_named() {
         let mut preprocessor = Preprocessor::new(&of(32, 16));
         let mut verdict = |picture: &Picture| preprocessor.input(picture).map(<[f32]>::len);
-        assert_eq!(verdict(&picture(32, 16, |_, _| [0; 3])), Err(Undefined::Black));
-        assert_eq!(verdict(&picture(32, 16, |_, _| [255; 3])), Err(Undefined::Uniform));
-        assert_eq!(verdict(&picture(32, 16, |_, _| [90, 120, 30])), Err(Undefined::Uniform));
-        assert_eq!(verdict(&picture(1, 1, |_, _| [90; 3])), Err(Undefined::TooSmall { width: 1, height: 1 }));
-        let cut = Picture { rgb: vec![3; 100], ..picture(32, 16, |_, _| [9; 3]) };
-        assert_eq!(verdict(&cut), Err(Undefined::TooSmall { width: 32, height: 16 }));
+        assert_eq!(
+            verdict(&picture(32, 16, |_, _| [0; 3])),
+            Err(Undefined::Black)
+        );
+        assert_eq!(
+            verdict(&picture(32, 16, |_, _| [255; 3])),
+            Err(Undefined::Uniform)
+        );
+        assert_eq!(
+            verdict(&picture(32, 16, |_, _| [90, 120, 30])),
+            Err(Undefined::Uniform)
+        );
+        assert_eq!(
+            verdict(&picture(1, 1, |_, _| [90; 3])),
+            Err(Undefined::TooSmall {
+                width: 1,
+                height: 1
+            })
+        );
+        let cut = Picture {
+            rgb: vec![3; 100],
+            ..picture(32, 16, |_, _| [9; 3])
+        };
+        assert_eq!(
+            verdict(&cut),
+            Err(Undefined::TooSmall {
+                width: 32,
+                height: 16
+            })
+        );
     }
 }

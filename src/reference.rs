@@ -131,7 +131,9 @@ pub enum ReferenceError {
         error: std::io::Error,
     },
     /// The file is no reference of this version.
-    #[error("reference {name}: {found}; wanted {FORMAT} version {VERSION} as written by gapwatch calibrate")]
+    #[error(
+        "reference {name}: {found}; wanted {FORMAT} version {VERSION} as written by gapwatch calibrate"
+    )]
     Malformed {
         /// File or built-in name.
         name: String,
@@ -139,7 +141,9 @@ pub enum ReferenceError {
         found: String,
     },
     /// It was made for another model or another way of feeding it.
-    #[error("reference {name} does not fit the model in use: {what} is {found}, the reference was made with {wanted}; calibrate one for this model, or name its model")]
+    #[error(
+        "reference {name} does not fit the model in use: {what} is {found}, the reference was made with {wanted}; calibrate one for this model, or name its model"
+    )]
     OtherModel {
         /// File or built-in name.
         name: String,
@@ -156,7 +160,11 @@ impl ModelFingerprint {
     /// The fingerprint of a loaded model.
     pub fn new(spec: &ModelSpec, encoder: &Encoder) -> Self {
         Self {
-            name: Path::new(&spec.name).file_name().unwrap_or_default().to_string_lossy().into_owned(),
+            name: Path::new(&spec.name)
+                .file_name()
+                .unwrap_or_default()
+                .to_string_lossy()
+                .into_owned(),
             sha256: encoder.sha256().to_owned(),
             taps: spec.taps.clone(),
             preprocessing: spec.preprocessing.clone(),
@@ -167,8 +175,23 @@ impl ModelFingerprint {
 
 impl Reference {
     /// A reference of this version.
-    pub fn new(model: ModelFingerprint, metric: Metric, window_s: f64, provenance: Provenance, taps: Vec<TapReference>) -> Self {
-        Self { format: FORMAT.to_owned(), version: VERSION, model, strict: true, metric, window_s, provenance, taps }
+    pub fn new(
+        model: ModelFingerprint,
+        metric: Metric,
+        window_s: f64,
+        provenance: Provenance,
+        taps: Vec<TapReference>,
+    ) -> Self {
+        Self {
+            format: FORMAT.to_owned(),
+            version: VERSION,
+            model,
+            strict: true,
+            metric,
+            window_s,
+            provenance,
+            taps,
+        }
     }
 
     /// Reads a file, or the reference inside the program, and checks that it is whole.
@@ -179,20 +202,28 @@ impl Reference {
         match file {
             None => Self::parse("built-in", BUILT_IN),
             Some(path) => {
-                let text = fs::read(path).map_err(|error| ReferenceError::File { path: path.to_owned(), error })?;
+                let text = fs::read(path).map_err(|error| ReferenceError::File {
+                    path: path.to_owned(),
+                    error,
+                })?;
                 Self::parse(&path.display().to_string(), &String::from_utf8_lossy(&text))
             }
         }
     }
 
     fn parse(name: &str, text: &str) -> Result<Self, ReferenceError> {
-        let malformed = |found: String| ReferenceError::Malformed { name: name.to_owned(), found };
-        let value: serde_json::Value = serde_json::from_str(text).map_err(|e| malformed(format!("not JSON ({e})")))?;
+        let malformed = |found: String| ReferenceError::Malformed {
+            name: name.to_owned(),
+            found,
+        };
+        let value: serde_json::Value =
+            serde_json::from_str(text).map_err(|e| malformed(format!("not JSON ({e})")))?;
         let (format, version) = (&value["format"], &value["version"]);
         if format != FORMAT || version != VERSION {
             return Err(malformed(format!("format {format}, version {version}")));
         }
-        let reference: Self = serde_json::from_value(value).map_err(|e| malformed(e.to_string()))?;
+        let reference: Self =
+            serde_json::from_value(value).map_err(|e| malformed(e.to_string()))?;
         match reference.fault() {
             Some(fault) => Err(malformed(fault)),
             None => Ok(reference),
@@ -202,12 +233,17 @@ impl Reference {
     fn fault(&self) -> Option<String> {
         let names: Vec<&String> = self.taps.iter().map(|t| &t.tap).collect();
         if self.taps.is_empty() || names != self.model.taps.iter().collect::<Vec<_>>() {
-            return Some(format!("taps {names:?} beside a model with taps {:?}", self.model.taps));
+            return Some(format!(
+                "taps {names:?} beside a model with taps {:?}",
+                self.model.taps
+            ));
         }
         if !(0.05..=60.0).contains(&self.window_s) {
             return Some(format!("a window of {} s, not 0.05 to 60", self.window_s));
         }
-        self.taps.iter().find_map(|tap| tap.fault().map(|fault| format!("tap {}: {fault}", tap.tap)))
+        self.taps
+            .iter()
+            .find_map(|tap| tap.fault().map(|fault| format!("tap {}: {fault}", tap.tap)))
     }
 
     /// Refuses a model that the reference was not made with.
@@ -219,14 +255,21 @@ impl Reference {
         let parts = [
             ("hash", ours.sha256.clone(), theirs.sha256.clone()),
             ("taps", ours.taps.join(","), theirs.taps.join(",")),
-            ("preprocessing", format!("{:?}", ours.preprocessing), format!("{:?}", theirs.preprocessing)),
+            (
+                "preprocessing",
+                format!("{:?}", ours.preprocessing),
+                format!("{:?}", theirs.preprocessing),
+            ),
             ("resize kernel", ours.resize.clone(), theirs.resize.clone()),
         ];
         match parts.into_iter().find(|(_, wanted, found)| wanted != found) {
             None => Ok(()),
-            Some((what, wanted, found)) => {
-                Err(ReferenceError::OtherModel { name: name.to_owned(), what, found, wanted })
-            }
+            Some((what, wanted, found)) => Err(ReferenceError::OtherModel {
+                name: name.to_owned(),
+                what,
+                found,
+                wanted,
+            }),
         }
     }
 
@@ -240,7 +283,10 @@ impl Reference {
     /// # Errors
     /// When it cannot be written.
     pub fn write(&self, path: &Path) -> Result<(), ReferenceError> {
-        let failed = |error| ReferenceError::File { path: path.to_owned(), error };
+        let failed = |error| ReferenceError::File {
+            path: path.to_owned(),
+            error,
+        };
         let mut file = WholeFile::create(path).map_err(failed)?;
         file.write_all(self.to_json().as_bytes()).map_err(failed)?;
         file.finish().map_err(failed)
@@ -258,18 +304,41 @@ impl TapReference {
             return Some(fault.to_owned());
         }
         if self.counts.len() != self.binning.bins() || self.images == 0 {
-            return Some(format!("{} counts of {} images for {} bins", self.counts.len(), self.images, self.binning.bins()));
+            return Some(format!(
+                "{} counts of {} images for {} bins",
+                self.counts.len(),
+                self.images,
+                self.binning.bins()
+            ));
         }
-        if self.counts.iter().try_fold(0_u64, |sum, &n| sum.checked_add(n)).is_none_or(|sum| sum == 0) {
+        if self
+            .counts
+            .iter()
+            .try_fold(0_u64, |sum, &n| sum.checked_add(n))
+            .is_none_or(|sum| sum == 0)
+        {
             return Some("counts that do not add up".to_owned());
         }
         if !(self.median_peak_energy.is_finite() && self.median_peak_energy > 0.0) {
-            return Some(format!("a median peak energy of {}", self.median_peak_energy));
+            return Some(format!(
+                "a median peak energy of {}",
+                self.median_peak_energy
+            ));
         }
-        let rising = self.scale.windows(2).all(|pair| pair[0].frames < pair[1].frames);
-        let usable = |p: &ScalePoint| p.frames > 0 && p.median.is_finite() && p.threshold.is_finite() && p.median < p.threshold;
+        let rising = self
+            .scale
+            .windows(2)
+            .all(|pair| pair[0].frames < pair[1].frames);
+        let usable = |p: &ScalePoint| {
+            p.frames > 0
+                && p.median.is_finite()
+                && p.threshold.is_finite()
+                && p.median < p.threshold
+        };
         if self.scale.is_empty() || !rising || !self.scale.iter().all(usable) {
-            return Some("a scale without rising frame counts and medians below thresholds".to_owned());
+            return Some(
+                "a scale without rising frame counts and medians below thresholds".to_owned(),
+            );
         }
         None
     }
@@ -278,15 +347,22 @@ impl TapReference {
     /// an average of `n` histograms falls as `1 / n` towards that of infinitely many.
     #[allow(clippy::cast_precision_loss)]
     pub fn scale_for(&self, frames: usize) -> (f64, f64) {
-        let next = self.scale.partition_point(|point| point.frames < frames).min(self.scale.len() - 1);
+        let next = self
+            .scale
+            .partition_point(|point| point.frames < frames)
+            .min(self.scale.len() - 1);
         let (low, high) = (self.scale[next.saturating_sub(1)], self.scale[next]);
         if low.frames == high.frames {
             return (high.median, high.threshold);
         }
         let inverse = |frames: usize| 1.0 / frames as f64;
         let frames = frames.clamp(low.frames, high.frames);
-        let share = (inverse(low.frames) - inverse(frames)) / (inverse(low.frames) - inverse(high.frames));
-        (low.median + share * (high.median - low.median), low.threshold + share * (high.threshold - low.threshold))
+        let share =
+            (inverse(low.frames) - inverse(frames)) / (inverse(low.frames) - inverse(high.frames));
+        (
+            low.median + share * (high.median - low.median),
+            low.threshold + share * (high.threshold - low.threshold),
+        )
     }
 }
 
@@ -299,12 +375,20 @@ mod tests {
         TapReference {
             tap: "e2".into(),
             median_peak_energy: 5.0,
-            binning: Binning::LogEnergy { epsilon: 1e-6, edges: vec![0.0] },
+            binning: Binning::LogEnergy {
+                epsilon: 1e-6,
+                edges: vec![0.0],
+            },
             images: 1,
             counts: vec![1, 2],
             scale: scale
                 .iter()
-                .map(|&(frames, median, threshold)| ScalePoint { frames, windows: 9, median, threshold })
+                .map(|&(frames, median, threshold)| ScalePoint {
+                    frames,
+                    windows: 9,
+                    median,
+                    threshold,
+                })
                 .collect(),
         }
     }
@@ -312,9 +396,19 @@ mod tests {
     #[test]
     fn the_scale_between_two_points_is_linear_in_one_over_frames() {
         let tap = tap(&[(1, 1.0, 2.0), (2, 0.5, 1.0), (10, 0.1, 0.2)]);
-        for (frames, median) in [(1, 1.0), (2, 0.5), (4, 0.25), (5, 0.2), (10, 0.1), (30, 0.1)] {
+        for (frames, median) in [
+            (1, 1.0),
+            (2, 0.5),
+            (4, 0.25),
+            (5, 0.2),
+            (10, 0.1),
+            (30, 0.1),
+        ] {
             let (found, threshold) = tap.scale_for(frames);
-            assert!((found - median).abs() < 1e-12 && (threshold - 2.0 * median).abs() < 1e-12, "{frames}: {found}");
+            assert!(
+                (found - median).abs() < 1e-12 && (threshold - 2.0 * median).abs() < 1e-12,
+                "{frames}: {found}"
+            );
         }
     }
 
@@ -323,16 +417,37 @@ mod tests {
         for (text, part) in [
             ("", "not JSON"),
             ("{}", "format null"),
-            ("{\"format\": \"gapwatch-reference\", \"version\": 2}", "version 2"),
-            ("{\"format\": \"gapwatch-reference\", \"version\": 1}", "missing field"),
+            (
+                "{\"format\": \"gapwatch-reference\", \"version\": 2}",
+                "version 2",
+            ),
+            (
+                "{\"format\": \"gapwatch-reference\", \"version\": 1}",
+                "missing field",
+            ),
         ] {
             let said = Reference::parse("r.json", text).unwrap_err().to_string();
             assert!(said.contains(part) && said.contains("r.json"), "{said}");
         }
         assert!(tap(&[]).fault().unwrap().contains("scale"));
         assert!(tap(&[(1, 2.0, 1.0)]).fault().unwrap().contains("scale"));
-        assert!(TapReference { counts: vec![0, 0], ..tap(&[(1, 1.0, 2.0)]) }.fault().unwrap().contains("counts"));
-        assert!(TapReference { counts: vec![u64::MAX, 1], ..tap(&[(1, 1.0, 2.0)]) }.fault().is_some());
+        assert!(
+            TapReference {
+                counts: vec![0, 0],
+                ..tap(&[(1, 1.0, 2.0)])
+            }
+            .fault()
+            .unwrap()
+            .contains("counts")
+        );
+        assert!(
+            TapReference {
+                counts: vec![u64::MAX, 1],
+                ..tap(&[(1, 1.0, 2.0)])
+            }
+            .fault()
+            .is_some()
+        );
         assert_eq!(tap(&[(1, 1.0, 2.0)]).fault(), None);
     }
 

@@ -42,7 +42,10 @@ impl EnergyStage {
     /// # Errors
     /// Why this frame cannot be judged.
     pub fn energies(&mut self, frame: &Frame) -> Result<&[EnergyMap], Undefined> {
-        let picture: &Picture = frame.picture.as_ref().map_err(|error| Undefined::Corrupt(error.to_string()))?;
+        let picture: &Picture = frame
+            .picture
+            .as_ref()
+            .map_err(|error| Undefined::Corrupt(error.to_string()))?;
         let input = self.preprocessor.input(picture)?;
         let features = self.session.run(input).map_err(Undefined::Encoder)?;
         for ((tap, features), map) in self.taps.iter().zip(&features).zip(&mut self.maps) {
@@ -105,18 +108,29 @@ impl Survey {
                 return Err(SurveyError::Picture(error.to_string()));
             }
             let energies = stage.energies(&frame).map(<[EnergyMap]>::to_vec);
-            frames.push(Seen { at: frame.captured_at, energies });
+            frames.push(Seen {
+                at: frame.captured_at,
+                energies,
+            });
             seen();
         }
-        Ok(Self { source: source.to_owned(), frames, common_size: stage.common_size() })
+        Ok(Self {
+            source: source.to_owned(),
+            frames,
+            common_size: stage.common_size(),
+        })
     }
 
     /// The maps of one tap at the common size, frame by frame; `None` where a frame has none.
-    pub fn common_maps(&self, tap: usize) -> impl Iterator<Item = Result<EnergyMap, Undefined>> + '_ {
+    pub fn common_maps(
+        &self,
+        tap: usize,
+    ) -> impl Iterator<Item = Result<EnergyMap, Undefined>> + '_ {
         let mut upsampler: Option<Upsampler> = None;
         self.frames.iter().map(move |seen| {
             let map = &seen.energies.as_ref().map_err(Undefined::clone)?[tap];
-            let upsampler = upsampler.get_or_insert_with(|| Upsampler::new((map.width, map.height), self.common_size));
+            let upsampler = upsampler
+                .get_or_insert_with(|| Upsampler::new((map.width, map.height), self.common_size));
             let mut common = EnergyMap::default();
             upsampler.resample(map, &mut common);
             Ok(common)

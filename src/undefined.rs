@@ -21,7 +21,9 @@ pub enum Undefined {
     #[error("{0}")]
     Corrupt(String),
     /// An activation is NaN or infinite.
-    #[error("activation of {tap} is not a finite number at channel {channel}, row {row}, column {column}")]
+    #[error(
+        "activation of {tap} is not a finite number at channel {channel}, row {row}, column {column}"
+    )]
     NotFinite {
         /// Name of the tap.
         tap: String,

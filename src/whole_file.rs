@@ -11,7 +11,10 @@ use tempfile::NamedTempFile;
 pub struct WholeFile(Target);
 
 enum Target {
-    Beside { file: BufWriter<NamedTempFile>, place: PathBuf },
+    Beside {
+        file: BufWriter<NamedTempFile>,
+        place: PathBuf,
+    },
     /// A device or pipe, which must not be replaced.
     Through(BufWriter<File>),
 }
@@ -25,7 +28,9 @@ impl WholeFile {
         match path.metadata() {
             Ok(there) if there.is_dir() => return Err(io::ErrorKind::IsADirectory.into()),
             Ok(there) if !there.is_file() => {
-                return Ok(Self(Target::Through(BufWriter::new(OpenOptions::new().write(true).open(path)?))));
+                return Ok(Self(Target::Through(BufWriter::new(
+                    OpenOptions::new().write(true).open(path)?,
+                ))));
             }
             // What may not be written may not be replaced either.
             Ok(_) => drop(OpenOptions::new().append(true).open(path)?),
@@ -33,9 +38,17 @@ impl WholeFile {
         }
         // A link stays a link: what it names is replaced.
         let place = path.canonicalize().unwrap_or_else(|_| path.to_owned());
-        let folder = place.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-        let file = tempfile::Builder::new().permissions(PermissionsExt::from_mode(0o644)).tempfile_in(folder)?;
-        Ok(Self(Target::Beside { file: BufWriter::new(file), place }))
+        let folder = place
+            .parent()
+            .filter(|p| !p.as_os_str().is_empty())
+            .unwrap_or(Path::new("."));
+        let file = tempfile::Builder::new()
+            .permissions(PermissionsExt::from_mode(0o644))
+            .tempfile_in(folder)?;
+        Ok(Self(Target::Beside {
+            file: BufWriter::new(file),
+            place,
+        }))
     }
 
     /// Puts the file in its place.
@@ -93,7 +106,10 @@ mod tests {
 
     #[test]
     fn devices_are_written_through_and_folders_refused() {
-        WholeFile::create(Path::new("/dev/null")).unwrap().finish().unwrap();
+        WholeFile::create(Path::new("/dev/null"))
+            .unwrap()
+            .finish()
+            .unwrap();
         assert!(!Path::new("/dev/null").metadata().unwrap().is_file());
         assert!(WholeFile::create(tempfile::tempdir().unwrap().path()).is_err());
         assert!(WholeFile::create(Path::new("/no/such/folder/file")).is_err());

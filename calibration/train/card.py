@@ -1,4 +1,4 @@
-"""The two files beside the model: what gapwatch needs to run it, and what people need to trust it."""
+"""The two files beside the model: what gapwatch needs to run it and people need to trust it."""
 
 from __future__ import annotations
 

@@ -146,7 +146,7 @@ def _fold_constants(model: onnx.ModelProto) -> None:
 
 
 def _tidy_names(graph: onnx.GraphProto) -> None:
-    """`/network/encoder/e2/e2.0/branch/...` becomes `encoder/e2.0/branch...`, in nodes and tensors."""
+    """`/network/encoder/e2/e2.0/...` becomes `encoder/e2.0/...`, in nodes and tensors."""
 
     def tidy(name: str) -> str:
         parts: list[str] = []

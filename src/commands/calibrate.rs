@@ -14,12 +14,24 @@ use crate::args::CalibrateArgs;
 
 pub fn run(args: &CalibrateArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
     let model = Model::load(&args.model)?;
-    let sources = args.sim.iter().map(|name| drives(name)).collect::<Result<Vec<_>, _>>()?.concat();
-    let counts = sources.iter().map(|name| Ok(open(name)?.frame_count())).collect::<anyhow::Result<Vec<_>>>()?;
+    let sources = args
+        .sim
+        .iter()
+        .map(|name| drives(name))
+        .collect::<Result<Vec<_>, _>>()?
+        .concat();
+    let counts = sources
+        .iter()
+        .map(|name| Ok(open(name)?.frame_count()))
+        .collect::<anyhow::Result<Vec<_>>>()?;
     let bar = progress::frames(counts.into_iter().sum(), "calibrating");
     let surveys = sources
         .par_iter()
-        .map(|name| Survey::of(name, &model.encoder, &model.spec.preprocessing, &|| bar.inc(1)))
+        .map(|name| {
+            Survey::of(name, &model.encoder, &model.spec.preprocessing, &|| {
+                bar.inc(1)
+            })
+        })
         .collect::<Result<Vec<_>, SurveyError>>()?;
     bar.finish_and_clear();
     let (taps, sources) = calibrate(&surveys, &model.spec.taps, args.metric)?;
@@ -31,9 +43,19 @@ pub fn run(args: &CalibrateArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
         ),
         sources,
     };
-    let reference = Reference::new(model.fingerprint, args.metric, args.window, provenance, taps);
-    reference.write(&args.out).context("cannot write the reference")?;
-    let frames = |of: fn(&gapwatch::reference::SourceUse) -> u64| reference.provenance.sources.iter().map(of).sum::<u64>();
+    let reference = Reference::new(
+        model.fingerprint,
+        args.metric,
+        args.window,
+        provenance,
+        taps,
+    );
+    reference
+        .write(&args.out)
+        .context("cannot write the reference")?;
+    let frames = |of: fn(&gapwatch::reference::SourceUse) -> u64| {
+        reference.provenance.sources.iter().map(of).sum::<u64>()
+    };
     writeln!(
         out,
         "{}: {} on {} sources, {} frames fitted, {} held out; strict, no rate of false alarms promised",
@@ -58,7 +80,14 @@ pub fn run(args: &CalibrateArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
 fn command_line() -> String {
     let plain = |c: char| c.is_ascii_alphanumeric() || "-_./,:=+@%".contains(c);
     let words = std::env::args().skip(1).map(|word| {
-        if !word.is_empty() && word.chars().all(plain) { word } else { format!("'{}'", word.replace('\'', "'\\''")) }
+        if !word.is_empty() && word.chars().all(plain) {
+            word
+        } else {
+            format!("'{}'", word.replace('\'', "'\\''"))
+        }
     });
-    std::iter::once("gapwatch".to_owned()).chain(words).collect::<Vec<_>>().join(" ")
+    std::iter::once("gapwatch".to_owned())
+        .chain(words)
+        .collect::<Vec<_>>()
+        .join(" ")
 }

@@ -5,9 +5,16 @@ use indicatif::{ProgressBar, ProgressStyle};
 /// A bar over frames; without a known count it only counts. Invisible where standard error is no terminal.
 pub fn frames(count: Option<u64>, what: &str) -> ProgressBar {
     let (bar, template) = match count {
-        Some(count) => (ProgressBar::new(count), "{msg} {wide_bar} {pos}/{len} frames, {eta} left"),
-        None => (ProgressBar::no_length(), "{msg} {spinner} {pos} frames in {elapsed}"),
+        Some(count) => (
+            ProgressBar::new(count),
+            "{msg} {wide_bar} {pos}/{len} frames, {eta} left",
+        ),
+        None => (
+            ProgressBar::no_length(),
+            "{msg} {spinner} {pos} frames in {elapsed}",
+        ),
     };
-    let style = ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar());
+    let style =
+        ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar());
     bar.with_style(style).with_message(what.to_owned())
 }

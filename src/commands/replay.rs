@@ -37,19 +37,29 @@ struct Summary {
 }
 
 pub fn run(args: &ReplayArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
-    let sink_word = Sink::parse(&args.can)?;
     let model = Model::load(&args.model)?;
     let reference = Reference::read(args.reference.as_deref())?;
-    let reference_name = args.reference.as_ref().map_or_else(|| "built-in".to_owned(), |path| path.display().to_string());
+    let reference_name = args
+        .reference
+        .as_ref()
+        .map_or_else(|| "built-in".to_owned(), |path| path.display().to_string());
     reference.check_fits(&reference_name, &model.fingerprint)?;
     let mut monitor = Monitor::new(&model.encoder, &reference)?;
     let mut source = open(args.source.as_deref().unwrap_or(BUILT_IN_DRIVE))?;
-    let mut journal = args.journal.as_deref().map(|path| Journal::create(path, &model.spec.taps)).transpose()?;
-    let mut bus = Bus::new(sink_word.open()?, &reference)?;
+    let mut journal = args
+        .journal
+        .as_deref()
+        .map(|path| Journal::create(path, &model.spec.taps))
+        .transpose()?;
+    let mut bus = Bus::new(args.can.open()?, &reference)?;
     let bar = progress::frames(source.frame_count(), "replaying");
     // With the CAN log on standard output, the lines for people go where they do not mix with it.
     let mut aside = std::io::stderr();
-    let out: &mut dyn Write = if sink_word == Sink::Stdout { &mut aside } else { out };
+    let out: &mut dyn Write = if args.can == Sink::Stdout {
+        &mut aside
+    } else {
+        out
+    };
     let mut summary = Summary::default();
     let mut last_state = None;
     let began = Instant::now();
@@ -82,14 +92,22 @@ pub fn run(args: &ReplayArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
 
 /// One line for a change of state; never torn by the progress bar.
 fn tell_change(verdict: &Verdict, bar: &ProgressBar, out: &mut dyn Write) -> anyhow::Result<()> {
-    let mut line = format!("{:8.1} s  {:<11}", verdict.at.as_secs_f64(), verdict.state.name());
+    let mut line = format!(
+        "{:8.1} s  {:<11}",
+        verdict.at.as_secs_f64(),
+        verdict.state.name()
+    );
     match (verdict.state, &verdict.undefined, verdict.score) {
         (_, Some(why), _) => line += &format!("  {}: {why}", verdict.reason.name()),
         (AlarmState::Init, _, _) => line += "  starting",
         (_, None, Some(score)) => line += &format!("  score {score:.2}"),
         (_, None, None) => {}
     }
-    if std::io::stderr().is_terminal() { bar.suspend(|| writeln!(out, "{line}")) } else { writeln!(out, "{line}") }?;
+    if std::io::stderr().is_terminal() {
+        bar.suspend(|| writeln!(out, "{line}"))
+    } else {
+        writeln!(out, "{line}")
+    }?;
     out.flush()?;
     Ok(())
 }
@@ -117,9 +135,13 @@ impl Bus {
     /// Sends what a verdict changes and what fell due up to its time. In a replay time stands still while a frame is
     /// judged, so the frame's age is the latency.
     fn tell(&mut self, verdict: &Verdict, latency: Duration) -> anyhow::Result<()> {
-        self.health.note(verdict.at, latency, verdict.score.is_some());
+        self.health
+            .note(verdict.at, latency, verdict.score.is_some());
         let mut block_scores = [None; 3];
-        block_scores.iter_mut().zip(&verdict.blocks).for_each(|(score, block): (_, &BlockScore)| *score = Some(block.score));
+        block_scores
+            .iter_mut()
+            .zip(&verdict.blocks)
+            .for_each(|(score, block): (_, &BlockScore)| *score = Some(block.score));
         let status = GapStatus {
             state: verdict.state,
             reason: verdict.reason,
@@ -160,7 +182,11 @@ impl Summary {
     #[allow(clippy::cast_precision_loss)]
     fn tell(&self, took: Duration, out: &mut dyn Write) -> anyhow::Result<()> {
         let share = |count: u64| 100.0 * count as f64 / self.frames.max(1) as f64;
-        let states: Vec<String> = self.frames_in.iter().map(|(name, &count)| format!("{name} {:.0} %", share(count))).collect();
+        let states: Vec<String> = self
+            .frames_in
+            .iter()
+            .map(|(name, &count)| format!("{name} {:.0} %", share(count)))
+            .collect();
         writeln!(
             out,
             "{} frames, {:.1} s of drive in {:.1} s: {}",

@@ -53,7 +53,12 @@ pub fn run(args: &SceneArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
     Ok(0)
 }
 
-fn render_scene(args: &SceneArgs, index: u32, renderer: &mut Renderer, folder: &Path) -> anyhow::Result<String> {
+fn render_scene(
+    args: &SceneArgs,
+    index: u32,
+    renderer: &mut Renderer,
+    folder: &Path,
+) -> anyhow::Result<String> {
     // Seeds of scene sets lie above 32 bits: no scene is a moment of a drive that a user can name by a small seed.
     let seed = (u64::from(args.seed) + 1) << 32 | u64::from(index);
     let t_s = f64::from(index % 600);
@@ -65,12 +70,27 @@ fn render_scene(args: &SceneArgs, index: u32, renderer: &mut Renderer, folder: &
         t_s,
         conditions: args.condition.iter().map(ToString::to_string).collect(),
     };
-    write_png(&folder.join(&line.frame), scene.rgb, args, ExtendedColorType::Rgb8)?;
-    write_png(&folder.join(&line.mask), scene.mask, args, ExtendedColorType::L8)?;
+    write_png(
+        &folder.join(&line.frame),
+        scene.rgb,
+        args,
+        ExtendedColorType::Rgb8,
+    )?;
+    write_png(
+        &folder.join(&line.mask),
+        scene.mask,
+        args,
+        ExtendedColorType::L8,
+    )?;
     Ok(serde_json::to_string(&line)? + "\n")
 }
 
-fn write_png(path: &Path, pixels: &[u8], args: &SceneArgs, colour: ExtendedColorType) -> anyhow::Result<()> {
+fn write_png(
+    path: &Path,
+    pixels: &[u8],
+    args: &SceneArgs,
+    colour: ExtendedColorType,
+) -> anyhow::Result<()> {
     let mut bytes = Vec::new();
     PngEncoder::new_with_quality(&mut bytes, CompressionType::Fast, FilterType::Sub)
         .write_image(pixels, args.size.width, args.size.height, colour)
@@ -85,17 +105,25 @@ struct PartialFolder {
 
 impl PartialFolder {
     fn beside(target: &Path) -> anyhow::Result<Self> {
-        if target.exists() && !fs::read_dir(target).is_ok_and(|mut entries| entries.next().is_none()) {
-            bail!("{} exists and is not an empty folder; name another with --out", target.display());
+        if target.exists()
+            && !fs::read_dir(target).is_ok_and(|mut entries| entries.next().is_none())
+        {
+            bail!(
+                "{} exists and is not an empty folder; name another with --out",
+                target.display()
+            );
         }
-        let name = target.file_name().with_context(|| format!("{}: wanted a folder's name", target.display()))?;
+        let name = target
+            .file_name()
+            .with_context(|| format!("{}: wanted a folder's name", target.display()))?;
         let path = target.with_file_name(format!(".{}.partial", name.to_string_lossy()));
         fs::create_dir(&path).with_context(|| format!("cannot create {}", path.display()))?;
         Ok(Self { path })
     }
 
     fn keep(self, target: &Path) -> anyhow::Result<()> {
-        fs::rename(&self.path, target).with_context(|| format!("cannot put {} in place", target.display()))
+        fs::rename(&self.path, target)
+            .with_context(|| format!("cannot put {} in place", target.display()))
     }
 }
 

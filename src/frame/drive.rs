@@ -36,8 +36,20 @@ impl FrameSource for DriveSource {
         }
         let (sequence, captured_at) = (self.next, time_of(self.next, self.fps));
         self.next += 1;
-        let rgb = self.renderer.render(&self.drive, captured_at.as_secs_f64()).rgb.to_vec();
-        Ok(Some(Frame { sequence, captured_at, picture: Ok(Picture { width: SIZE.0, height: SIZE.1, rgb }) }))
+        let rgb = self
+            .renderer
+            .render(&self.drive, captured_at.as_secs_f64())
+            .rgb
+            .to_vec();
+        Ok(Some(Frame {
+            sequence,
+            captured_at,
+            picture: Ok(Picture {
+                width: SIZE.0,
+                height: SIZE.1,
+                rgb,
+            }),
+        }))
     }
 
     fn frame_count(&self) -> Option<u64> {

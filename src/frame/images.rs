@@ -12,8 +12,13 @@ const SIDE_MAX: u32 = 16_384;
 
 /// Whether the name ends like an image that can be read.
 pub fn is_image(path: &Path) -> bool {
-    let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default();
-    ["png", "jpg", "jpeg"].iter().any(|known| extension.eq_ignore_ascii_case(known))
+    let extension = path
+        .extension()
+        .and_then(|e| e.to_str())
+        .unwrap_or_default();
+    ["png", "jpg", "jpeg"]
+        .iter()
+        .any(|known| extension.eq_ignore_ascii_case(known))
 }
 
 pub struct ImageSource {
@@ -24,11 +29,18 @@ pub struct ImageSource {
 
 impl ImageSource {
     pub fn single(path: &Path) -> Self {
-        Self { paths: vec![path.to_owned()], fps: FOLDER_FPS, next: 0 }
+        Self {
+            paths: vec![path.to_owned()],
+            fps: FOLDER_FPS,
+            next: 0,
+        }
     }
 
     pub fn folder(folder: &Path, fps: f64) -> Result<Self, SourceError> {
-        let unreadable = |error| SourceError::Unreadable { path: folder.to_owned(), error };
+        let unreadable = |error| SourceError::Unreadable {
+            path: folder.to_owned(),
+            error,
+        };
         let mut paths = Vec::new();
         for entry in fs::read_dir(folder).map_err(unreadable)? {
             let path = entry.map_err(unreadable)?.path();
@@ -40,17 +52,30 @@ impl ImageSource {
             return Err(SourceError::Empty(folder.to_owned()));
         }
         paths.sort_by_cached_key(|path| name_order(path));
-        Ok(Self { paths, fps, next: 0 })
+        Ok(Self {
+            paths,
+            fps,
+            next: 0,
+        })
     }
 }
 
 impl FrameSource for ImageSource {
     fn next_frame(&mut self) -> Result<Option<Frame>, SourceError> {
-        let Some(path) = self.paths.get(self.next) else { return Ok(None) };
+        let Some(path) = self.paths.get(self.next) else {
+            return Ok(None);
+        };
         let sequence = self.next as u64;
         self.next += 1;
-        let picture = read(path).map_err(|found| PictureError { path: path.clone(), found });
-        Ok(Some(Frame { sequence, captured_at: time_of(sequence, self.fps), picture }))
+        let picture = read(path).map_err(|found| PictureError {
+            path: path.clone(),
+            found,
+        });
+        Ok(Some(Frame {
+            sequence,
+            captured_at: time_of(sequence, self.fps),
+            picture,
+        }))
     }
 
     fn frame_count(&self) -> Option<u64> {
@@ -67,18 +92,27 @@ enum NamePart {
 
 /// Name order as people mean it: runs of digits count as numbers, so `frame_2` comes before `frame_10`.
 fn name_order(path: &Path) -> Vec<NamePart> {
-    let name: Vec<char> = path.file_name().unwrap_or_default().to_string_lossy().chars().collect();
+    let name: Vec<char> = path
+        .file_name()
+        .unwrap_or_default()
+        .to_string_lossy()
+        .chars()
+        .collect();
     name.chunk_by(|a, b| a.is_ascii_digit() == b.is_ascii_digit())
         .map(|part| {
             let text: String = part.iter().collect();
-            text.parse().map_or_else(|_| NamePart::Text(text.clone()), |number| NamePart::Number(number, text.clone()))
+            text.parse().map_or_else(
+                |_| NamePart::Text(text.clone()),
+                |number| NamePart::Number(number, text.clone()),
+            )
         })
         .collect()
 }
 
 fn read(path: &Path) -> Result<Picture, String> {
     let bytes = fs::read(path).map_err(|error| error.to_string())?;
-    let format = image::guess_format(&bytes).map_err(|_| format!("{} bytes that are no image", bytes.len()))?;
+    let format = image::guess_format(&bytes)
+        .map_err(|_| format!("{} bytes that are no image", bytes.len()))?;
     if format == ImageFormat::Jpeg && !jpeg_is_whole(&bytes) {
         return Err(format!("a JPEG cut off after {} bytes", bytes.len()));
     }
@@ -87,14 +121,25 @@ fn read(path: &Path) -> Result<Picture, String> {
     limits.max_image_width = Some(SIDE_MAX);
     limits.max_image_height = Some(SIDE_MAX);
     reader.limits(limits);
-    let picture = reader.decode().map_err(|error| error.to_string())?.into_rgb8();
-    Ok(Picture { width: picture.width(), height: picture.height(), rgb: picture.into_raw() })
+    let picture = reader
+        .decode()
+        .map_err(|error| error.to_string())?
+        .into_rgb8();
+    Ok(Picture {
+        width: picture.width(),
+        height: picture.height(),
+        rgb: picture.into_raw(),
+    })
 }
 
 /// Whether the end marker follows the last scan: the decoder fills a cut file with grey without a word.
 fn jpeg_is_whole(bytes: &[u8]) -> bool {
     let last_scan = bytes.windows(2).rposition(|marker| marker == [0xFF, 0xDA]);
-    last_scan.is_some_and(|scan| bytes[scan..].windows(2).any(|marker| marker == [0xFF, 0xD9]))
+    last_scan.is_some_and(|scan| {
+        bytes[scan..]
+            .windows(2)
+            .any(|marker| marker == [0xFF, 0xD9])
+    })
 }
 
 #[cfg(test)]
@@ -103,8 +148,29 @@ mod tests {
 
     #[test]
     fn names_are_ordered_by_their_numbers() {
-        let mut names = ["b_10.png", "b_9.png", "b_09.png", "a_100.png", "b_9_2.png", "b_9_10.png", "b_0.png", "b.png"];
+        let mut names = [
+            "b_10.png",
+            "b_9.png",
+            "b_09.png",
+            "a_100.png",
+            "b_9_2.png",
+            "b_9_10.png",
+            "b_0.png",
+            "b.png",
+        ];
         names.sort_by_cached_key(|name| name_order(Path::new(name)));
-        assert_eq!(names, ["a_100.png", "b.png", "b_0.png", "b_09.png", "b_9.png", "b_9_2.png", "b_9_10.png", "b_10.png"]);
+        assert_eq!(
+            names,
+            [
+                "a_100.png",
+                "b.png",
+                "b_0.png",
+                "b_09.png",
+                "b_9.png",
+                "b_9_2.png",
+                "b_9_10.png",
+                "b_10.png"
+            ]
+        );
     }
 }

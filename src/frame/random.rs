@@ -14,7 +14,11 @@ pub struct RandomSource {
 
 impl RandomSource {
     pub fn parse(name: &str, spec: &str) -> Result<Self, SourceError> {
-        let mut source = Self { state: 1, next: 0, count: 60 };
+        let mut source = Self {
+            state: 1,
+            next: 0,
+            count: 60,
+        };
         for parameter in spec.split('&').filter(|p| !p.is_empty()) {
             let wrong = || SourceError::Name {
                 found: name.to_owned(),
@@ -23,7 +27,11 @@ impl RandomSource {
             match parameter.split_once('=') {
                 Some(("seed", value)) => source.state = value.parse().map_err(|_| wrong())?,
                 Some(("frames", value)) => {
-                    source.count = value.parse().ok().filter(|n| (1..=100_000).contains(n)).ok_or_else(wrong)?;
+                    source.count = value
+                        .parse()
+                        .ok()
+                        .filter(|n| (1..=100_000).contains(n))
+                        .ok_or_else(wrong)?;
                 }
                 _ => return Err(wrong()),
             }
@@ -49,8 +57,19 @@ impl FrameSource for RandomSource {
         let (sequence, captured_at) = (self.next, time_of(self.next, FPS));
         self.next += 1;
         let bytes = SIZE.0 as usize * SIZE.1 as usize * 3;
-        let rgb = (0..bytes.div_ceil(8)).flat_map(|_| self.next_bits().to_le_bytes()).take(bytes).collect();
-        Ok(Some(Frame { sequence, captured_at, picture: Ok(Picture { width: SIZE.0, height: SIZE.1, rgb }) }))
+        let rgb = (0..bytes.div_ceil(8))
+            .flat_map(|_| self.next_bits().to_le_bytes())
+            .take(bytes)
+            .collect();
+        Ok(Some(Frame {
+            sequence,
+            captured_at,
+            picture: Ok(Picture {
+                width: SIZE.0,
+                height: SIZE.1,
+                rgb,
+            }),
+        }))
     }
 
     fn frame_count(&self) -> Option<u64> {

@@ -39,32 +39,61 @@ pub struct VideoSource {
 
 impl VideoSource {
     pub fn open(path: &Path) -> Result<Self, SourceError> {
-        let fail = |why: String| SourceError::Video { path: path.to_owned(), why };
+        let fail = |why: String| SourceError::Video {
+            path: path.to_owned(),
+            why,
+        };
         let missing = |program: &str, error: &std::io::Error| {
-            fail(format!("not an image, and cannot run {program} to read it as a video ({error}); install ffmpeg"))
+            fail(format!(
+                "not an image, and cannot run {program} to read it as a video ({error}); install ffmpeg"
+            ))
         };
         let mut input = OsString::from("file:");
         input.push(path);
         let probe = Command::new("ffprobe")
             .args(PROTOCOLS)
             .args(["-v", "error", "-select_streams", "v:0"])
-            .args(["-show_entries", "stream=width,height,avg_frame_rate", "-of", "json"])
+            .args([
+                "-show_entries",
+                "stream=width,height,avg_frame_rate",
+                "-of",
+                "json",
+            ])
             .arg(&input)
             .stdin(Stdio::null())
             .output()
             .map_err(|error| missing("ffprobe", &error))?;
-        let found = serde_json::from_slice::<Probe>(&probe.stdout).ok().and_then(|probe| probe.streams.into_iter().next());
+        let found = serde_json::from_slice::<Probe>(&probe.stdout)
+            .ok()
+            .and_then(|probe| probe.streams.into_iter().next());
         let Some(stream) = found.filter(|s| s.width > 0 && s.height > 0) else {
-            return Err(fail(format!("no picture or video in this file ({})", first_line(&probe.stderr))));
+            return Err(fail(format!(
+                "no picture or video in this file ({})",
+                first_line(&probe.stderr)
+            )));
         };
-        let fps = rate(&stream.avg_frame_rate).ok_or_else(|| fail("no frame rate in this file".to_owned()))?;
-        let unreadable = |error| SourceError::Unreadable { path: path.to_owned(), error };
+        let fps = rate(&stream.avg_frame_rate)
+            .ok_or_else(|| fail("no frame rate in this file".to_owned()))?;
+        let unreadable = |error| SourceError::Unreadable {
+            path: path.to_owned(),
+            error,
+        };
         let complaints = tempfile::tempfile().map_err(unreadable)?;
         let mut ffmpeg = Command::new("ffmpeg")
             .args(PROTOCOLS)
             .args(["-nostdin", "-v", "error", "-noautorotate", "-i"])
             .arg(&input)
-            .args(["-map", "0:v:0", "-sws_flags", "bicubic+accurate_rnd+full_chroma_int", "-f", "rawvideo", "-pix_fmt", "rgb24", "-"])
+            .args([
+                "-map",
+                "0:v:0",
+                "-sws_flags",
+                "bicubic+accurate_rnd+full_chroma_int",
+                "-f",
+                "rawvideo",
+                "-pix_fmt",
+                "rgb24",
+                "-",
+            ])
             .stdin(Stdio::null())
             .stdout(Stdio::piped())
             .stderr(complaints.try_clone().map_err(unreadable)?)
@@ -88,12 +117,22 @@ impl VideoSource {
     fn finish(&mut self, left_over: usize) -> Result<Option<Frame>, SourceError> {
         let mut said = Vec::new();
         let ended_well = self.ffmpeg.wait().is_ok_and(|status| status.success());
-        let _ = self.complaints.rewind().and_then(|()| self.complaints.read_to_end(&mut said));
+        let _ = self
+            .complaints
+            .rewind()
+            .and_then(|()| self.complaints.read_to_end(&mut said));
         if ended_well && left_over == 0 && said.is_empty() {
             return Ok(None);
         }
-        let why = format!("broke off after {} frames ({})", self.next, first_line(&said));
-        Err(SourceError::Video { path: self.path.clone(), why })
+        let why = format!(
+            "broke off after {} frames ({})",
+            self.next,
+            first_line(&said)
+        );
+        Err(SourceError::Video {
+            path: self.path.clone(),
+            why,
+        })
     }
 }
 
@@ -107,12 +146,21 @@ impl FrameSource for VideoSource {
                 Ok(0) => return self.finish(filled),
                 Ok(read) => filled += read,
                 Err(error) if error.kind() == std::io::ErrorKind::Interrupted => {}
-                Err(error) => return Err(SourceError::Unreadable { path: self.path.clone(), error }),
+                Err(error) => {
+                    return Err(SourceError::Unreadable {
+                        path: self.path.clone(),
+                        error,
+                    });
+                }
             }
         }
         let (sequence, captured_at) = (self.next, time_of(self.next, self.fps));
         self.next += 1;
-        Ok(Some(Frame { sequence, captured_at, picture: Ok(Picture { width, height, rgb }) }))
+        Ok(Some(Frame {
+            sequence,
+            captured_at,
+            picture: Ok(Picture { width, height, rgb }),
+        }))
     }
 
     fn frame_count(&self) -> Option<u64> {
@@ -136,7 +184,9 @@ fn rate(text: &str) -> Option<f64> {
 
 fn first_line(said: &[u8]) -> String {
     let text = String::from_utf8_lossy(said);
-    text.lines().next().map_or_else(|| "ffmpeg said nothing".to_owned(), str::to_owned)
+    text.lines()
+        .next()
+        .map_or_else(|| "ffmpeg said nothing".to_owned(), str::to_owned)
 }
 
 #[cfg(test)]

@@ -41,6 +41,9 @@ mod tests {
 
     #[test]
     fn empty_histograms_are_undefined() {
-        assert_eq!(divergence_bits(&[0, 0], &[0, 9]), Err(Undefined::EmptyHistogram));
+        assert_eq!(
+            divergence_bits(&[0, 0], &[0, 9]),
+            Err(Undefined::EmptyHistogram)
+        );
     }
 }

@@ -40,7 +40,10 @@ fn deviations(counts: &[u64]) -> Result<Deviations, Undefined> {
     if counts.iter().all(|count| count == &counts[0]) {
         return Err(Undefined::ConstantHistogram);
     }
-    Ok(Deviations { total: total as f64, mean: 1.0 / counts.len() as f64 })
+    Ok(Deviations {
+        total: total as f64,
+        mean: 1.0 / counts.len() as f64,
+    })
 }
 
 #[cfg(test)]
@@ -57,7 +60,13 @@ mod tests {
 
     #[test]
     fn without_variation_there_is_no_correlation() {
-        assert_eq!(correlation(&[0, 0], &[1, 2]), Err(Undefined::EmptyHistogram));
-        assert_eq!(correlation(&[3, 3], &[1, 2]), Err(Undefined::ConstantHistogram));
+        assert_eq!(
+            correlation(&[0, 0], &[1, 2]),
+            Err(Undefined::EmptyHistogram)
+        );
+        assert_eq!(
+            correlation(&[3, 3], &[1, 2]),
+            Err(Undefined::ConstantHistogram)
+        );
     }
 }

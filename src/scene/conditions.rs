@@ -30,8 +30,15 @@ pub enum ConditionKind {
 
 impl ConditionKind {
     /// All kinds, in the order in which they are applied.
-    pub const ALL: [Self; 7] =
-        [Self::Night, Self::Rain, Self::Fog, Self::Glare, Self::Dirt, Self::Blur, Self::Noise];
+    pub const ALL: [Self; 7] = [
+        Self::Night,
+        Self::Rain,
+        Self::Fog,
+        Self::Glare,
+        Self::Dirt,
+        Self::Blur,
+        Self::Noise,
+    ];
 
     fn name(self) -> &'static str {
         match self {
@@ -99,7 +106,9 @@ pub struct Condition {
 impl Condition {
     /// Severity at `t_s`: grows over [`RAMP_S`] before the span begins, and fades over the last [`RAMP_S`] of it.
     pub fn severity_at(&self, t_s: f64) -> f32 {
-        let Some((full_s, gone_s)) = self.span_s else { return self.severity };
+        let Some((full_s, gone_s)) = self.span_s else {
+            return self.severity;
+        };
         let grown = (t_s - (full_s - RAMP_S)) / RAMP_S;
         let left = (gone_s - t_s) / RAMP_S;
         self.severity * grown.min(left).clamp(0.0, 1.0) as f32
@@ -118,7 +127,9 @@ pub fn severities_at(conditions: &[Condition], t_s: f64) -> Severities {
 
 /// A condition that cannot be read.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
-#[error("condition {found:?}: wanted KIND:SEVERITY or KIND:SEVERITY@FROM-TO, for example fog:3@20-40 ({wanted})")]
+#[error(
+    "condition {found:?}: wanted KIND:SEVERITY or KIND:SEVERITY@FROM-TO, for example fog:3@20-40 ({wanted})"
+)]
 pub struct ConditionError {
     found: String,
     wanted: String,
@@ -128,16 +139,29 @@ impl FromStr for Condition {
     type Err = ConditionError;
 
     fn from_str(text: &str) -> Result<Self, ConditionError> {
-        let error = |wanted: &str| ConditionError { found: text.to_owned(), wanted: wanted.to_owned() };
-        let (kind, rest) = text.split_once(':').ok_or_else(|| error("no severity after ':'"))?;
-        let kind = ConditionKind::ALL.into_iter().find(|k| k.name() == kind).ok_or_else(|| {
-            error(&format!("kinds are {}", ConditionKind::ALL.map(ConditionKind::name).join(", ")))
-        })?;
+        let error = |wanted: &str| ConditionError {
+            found: text.to_owned(),
+            wanted: wanted.to_owned(),
+        };
+        let (kind, rest) = text
+            .split_once(':')
+            .ok_or_else(|| error("no severity after ':'"))?;
+        let kind = ConditionKind::ALL
+            .into_iter()
+            .find(|k| k.name() == kind)
+            .ok_or_else(|| {
+                error(&format!(
+                    "kinds are {}",
+                    ConditionKind::ALL.map(ConditionKind::name).join(", ")
+                ))
+            })?;
         let (severity, span) = match rest.split_once('@') {
             Some((severity, span)) => (severity, Some(span)),
             None => (rest, None),
         };
-        let severity: f32 = severity.parse().map_err(|_| error("severity is a number from 0 to 5"))?;
+        let severity: f32 = severity
+            .parse()
+            .map_err(|_| error("severity is a number from 0 to 5"))?;
         if !(0.0..=5.0).contains(&severity) {
             return Err(error("severity is a number from 0 to 5"));
         }
@@ -145,11 +169,16 @@ impl FromStr for Condition {
             .map(|span| {
                 let (from, to) = span.split_once('-')?;
                 let (from, to) = (from.parse::<f64>().ok()?, to.parse::<f64>().ok()?);
-                (from.is_finite() && to.is_finite() && from >= 0.0 && from < to).then_some((from, to))
+                (from.is_finite() && to.is_finite() && from >= 0.0 && from < to)
+                    .then_some((from, to))
             })
             .map(|span| span.ok_or_else(|| error("the span is FROM-TO in seconds, FROM before TO")))
             .transpose()?;
-        Ok(Self { kind, severity, span_s })
+        Ok(Self {
+            kind,
+            severity,
+            span_s,
+        })
     }
 }
 
@@ -190,7 +219,10 @@ mod tests {
             ("fog:3@x", "FROM-TO"),
         ] {
             let message = text.parse::<Condition>().unwrap_err().to_string();
-            assert!(message.contains(part) && message.contains(text), "{message}");
+            assert!(
+                message.contains(part) && message.contains(text),
+                "{message}"
+            );
         }
     }
 

@@ -12,7 +12,11 @@ pub fn scaled(colour: Colour, by: f32) -> Colour {
 
 /// Goes from `a` to `b` as `t` goes from 0 to 1.
 pub fn blended(a: Colour, b: Colour, t: f32) -> Colour {
-    [a[0] + (b[0] - a[0]) * t, a[1] + (b[1] - a[1]) * t, a[2] + (b[2] - a[2]) * t]
+    [
+        a[0] + (b[0] - a[0]) * t,
+        a[1] + (b[1] - a[1]) * t,
+        a[2] + (b[2] - a[2]) * t,
+    ]
 }
 
 /// The light of a drive.
@@ -42,11 +46,19 @@ impl Light {
         Self {
             ground,
             zenith: blended(scaled(grey, 0.85), [0.18, 0.36, 0.74], clear),
-            horizon: blended(grey, blended([0.66, 0.78, 0.95], [0.95, 0.86, 0.72], warm * 0.7), clear),
+            horizon: blended(
+                grey,
+                blended([0.66, 0.78, 0.95], [0.95, 0.86, 0.72], warm * 0.7),
+                clear,
+            ),
             cloud_cover: draws.range("cloud cover", 0.25, 0.75),
             cloud_seed: draws.seed("clouds"),
             shadow_depth: (0.62 * clear - 0.1).max(0.0),
-            shadow_side: if draws.chance("shadow side", 0.5) { 1.0 } else { -1.0 },
+            shadow_side: if draws.chance("shadow side", 0.5) {
+                1.0
+            } else {
+                -1.0
+            },
             shadow_seed: draws.seed("shadows"),
             shadow_density: draws.range("shadow density", 0.35, 0.72),
             exposure: draws.range("exposure", 0.75, 1.30),

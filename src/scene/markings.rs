@@ -47,7 +47,12 @@ impl Layout {
         let mut lines = heapless::Vec::new();
         let mut paint = |offset_m, dash_m, yellow| {
             // At most 3 lanes and an oncoming one: 6 lines of 8.
-            let _ = lines.push(Line { offset_m, width_m, dash_m, yellow });
+            let _ = lines.push(Line {
+                offset_m,
+                width_m,
+                dash_m,
+                yellow,
+            });
         };
         if two_way {
             paint(left_edge - lane, None, false);
@@ -70,7 +75,11 @@ impl Layout {
         Self {
             lines,
             asphalt_m: (
-                if two_way { left_edge - lane - verge } else { left_edge - 0.6 * verge - 0.2 },
+                if two_way {
+                    left_edge - lane - verge
+                } else {
+                    left_edge - 0.6 * verge - 0.2
+                },
                 right_edge + verge,
             ),
             lanes_m: (0..count).map(|i| (i as f32 - ego as f32) * lane).collect(),
@@ -98,7 +107,10 @@ impl<'a> PaintRow<'a> {
             cover: layout
                 .lines
                 .iter()
-                .map(|line| line.dash_m.map_or(1.0, |dash| dash_cover(dash, s_m, length_m)))
+                .map(|line| {
+                    line.dash_m
+                        .map_or(1.0, |dash| dash_cover(dash, s_m, length_m))
+                })
                 .collect(),
             wear: NoiseRow::new(layout.wear_seed, s_m / 0.35),
             worn: length_m < 2.0,
@@ -113,7 +125,11 @@ impl<'a> PaintRow<'a> {
             let overlap = (0.5 * (line.width_m + width_m) - (d_m - line.offset_m).abs()) / width_m;
             let share = overlap.clamp(0.0, (line.width_m / width_m).min(1.0)) * cover;
             if share > 0.0 {
-                let grain = if self.worn { self.wear.at(f64::from(d_m) / 0.12) } else { 0.5 };
+                let grain = if self.worn {
+                    self.wear.at(f64::from(d_m) / 0.12)
+                } else {
+                    0.5
+                };
                 let kept = 1.0 - self.layout.wear * (0.35 + 0.65 * grain);
                 return Some((share * kept, line.yellow));
             }
@@ -149,8 +165,14 @@ mod tests {
     fn the_ego_lane_lies_between_two_lines() {
         for seed in 0..200 {
             let layout = Layout::new(Draws(seed));
-            let left = layout.lines.iter().any(|l| l.offset_m < 0.0 && l.offset_m > -2.3);
-            let right = layout.lines.iter().any(|l| l.offset_m > 0.0 && l.offset_m < 2.3);
+            let left = layout
+                .lines
+                .iter()
+                .any(|l| l.offset_m < 0.0 && l.offset_m > -2.3);
+            let right = layout
+                .lines
+                .iter()
+                .any(|l| l.offset_m > 0.0 && l.offset_m < 2.3);
             assert!(left && right, "seed {seed}: {:?}", layout.lines);
         }
     }

@@ -62,7 +62,11 @@ impl NoiseRow {
     /// Fixes the first coordinate.
     pub fn new(seed: u32, x: f64) -> Self {
         let (cell, t) = lattice(x);
-        Self { seed, cell, t: smooth(t) }
+        Self {
+            seed,
+            cell,
+            t: smooth(t),
+        }
     }
 
     /// The noise at the second coordinate, `0..1`.
@@ -83,7 +87,9 @@ pub struct Draws(pub u32);
 impl Draws {
     /// A seed of its own for the thing called `name` (FNV-1a of the name, mixed with the seed).
     pub fn seed(self, name: &str) -> u32 {
-        let name = name.bytes().fold(0x811C_9DC5_u32, |h, b| (h ^ u32::from(b)).wrapping_mul(0x0100_0193));
+        let name = name.bytes().fold(0x811C_9DC5_u32, |h, b| {
+            (h ^ u32::from(b)).wrapping_mul(0x0100_0193)
+        });
         hash(self.0, name as i32, 0x5EED)
     }
 
@@ -123,7 +129,13 @@ mod tests {
         let (a, b) = (Draws(1), Draws(2));
         assert_ne!(a.seed("lane width"), a.seed("lanes"));
         assert_ne!(a.seed("lane width"), b.seed("lane width"));
-        let mean = (0..2_000).map(|s| Draws(s).range("x", 0.0, 1.0)).sum::<f32>() / 2_000.0;
-        assert!((mean - 0.5).abs() < 0.02, "mean of 2,000 uniform draws is {mean}");
+        let mean = (0..2_000)
+            .map(|s| Draws(s).range("x", 0.0, 1.0))
+            .sum::<f32>()
+            / 2_000.0;
+        assert!(
+            (mean - 0.5).abs() < 0.02,
+            "mean of 2,000 uniform draws is {mean}"
+        );
     }
 }

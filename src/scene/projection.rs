@@ -96,7 +96,10 @@ impl GroundView {
             if a.z_m < 1.0 {
                 continue;
             }
-            let (row_a, row_b) = (projection.row(a.rise_m, a.z_m), projection.row(b.rise_m, b.z_m));
+            let (row_a, row_b) = (
+                projection.row(a.rise_m, a.z_m),
+                projection.row(b.rise_m, b.z_m),
+            );
             while unseen >= 0 && unseen as f32 + 0.5 >= row_b {
                 let centre = unseen as f32 + 0.5;
                 let t = ((row_a - centre) / (row_a - row_b).max(1e-6)).clamp(0.0, 1.0);
@@ -119,6 +122,8 @@ impl GroundView {
     /// The row above which something at distance `z_m` can be seen over the ground before it.
     pub fn crest(&self, z_m: f32) -> f32 {
         let nearer = self.crests.partition_point(|&(z, _)| z < z_m);
-        nearer.checked_sub(1).map_or(f32::INFINITY, |i| self.crests[i].1)
+        nearer
+            .checked_sub(1)
+            .map_or(f32::INFINITY, |i| self.crests[i].1)
     }
 }

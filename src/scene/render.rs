@@ -79,14 +79,30 @@ impl Renderer {
         canvas.lamps.clear();
         canvas.depth_m.fill(f32::INFINITY);
         self.mask.fill(0);
-        let moment = Moment { drive, pose, ahead: &ahead, projection, view: &view, severities };
+        let moment = Moment {
+            drive,
+            pose,
+            ahead: &ahead,
+            projection,
+            view: &view,
+            severities,
+        };
         moment.paint_sky(canvas);
         moment.paint_ground(canvas, &mut self.mask);
         moment.paint_objects(t_s, canvas, &mut self.mask);
         let time_seed = hash(drive.seed, (t_s * 1_000.0).round() as i64 as i32, 0x71);
         let gain = weather::apply(canvas, drive, &projection, &severities, time_seed);
-        weather::expose(canvas, drive.light.exposure * gain, &severities, time_seed, &mut self.rgb);
-        Labelled { rgb: &self.rgb, mask: &self.mask }
+        weather::expose(
+            canvas,
+            drive.light.exposure * gain,
+            &severities,
+            time_seed,
+            &mut self.rgb,
+        );
+        Labelled {
+            rgb: &self.rgb,
+            mask: &self.mask,
+        }
     }
 }
 
@@ -108,15 +124,26 @@ impl Moment<'_> {
 
     fn sky_at(&self, x: f32, elevation: f32) -> Colour {
         let azimuth = (x - self.projection.centre_x) / self.projection.focal_px;
-        self.drive.light.sky(azimuth + self.compass() as f32, elevation)
+        self.drive
+            .light
+            .sky(azimuth + self.compass() as f32, elevation)
     }
 
     fn paint_sky(&self, canvas: &mut Canvas) {
-        let rows = self.view.rows.iter().position(Option::is_some).unwrap_or(canvas.height);
-        let hill = scaled(self.drive.surroundings.hill_colour(), self.drive.light.ground[1]);
+        let rows = self
+            .view
+            .rows
+            .iter()
+            .position(Option::is_some)
+            .unwrap_or(canvas.height);
+        let hill = scaled(
+            self.drive.surroundings.hill_colour(),
+            self.drive.light.ground[1],
+        );
         for x in 0..canvas.width {
             let column = x as f32 + 0.5;
-            let azimuth = f64::from((column - self.projection.centre_x) / self.projection.focal_px) + self.compass();
+            let azimuth = f64::from((column - self.projection.centre_x) / self.projection.focal_px)
+                + self.compass();
             let hills_px = self.drive.surroundings.hills(azimuth) * self.projection.focal_px;
             for y in 0..rows {
                 let above_px = self.projection.horizon_y - (y as f32 + 0.5);
@@ -146,16 +173,22 @@ impl Moment<'_> {
         let layout = &drive.layout;
         let s_m = self.pose.s_m + f64::from(row.z_m);
         let metres_a_pixel = row.z_m / self.projection.focal_px;
-        let textures = drive.surroundings.ground_row(s_m, row.length_m.max(metres_a_pixel));
+        let textures = drive
+            .surroundings
+            .ground_row(s_m, row.length_m.max(metres_a_pixel));
         let paint = PaintRow::new(layout, s_m, row.length_m);
         let label_half_m = (LABEL_HALF_WIDTH_PX * light.len() as f32 / 320.0) * metres_a_pixel;
         // A line `d` metres aside runs at slope d / height in the picture; its label is as wide across as along a row.
         let camera_d_m = self.lateral(row, self.projection.centre_x);
-        let slant = |d_m: f32| ((d_m - camera_d_m) / self.projection.height_m).hypot(1.0);
+        let slant = |d_m: f32| {
+            let slope = (d_m - camera_d_m) / self.projection.height_m;
+            (1.0 + slope * slope).sqrt()
+        };
         let labelled = row.z_m <= LABEL_REACH_M;
         let wet = graded(RAIN_MIRROR, self.severities.of(ConditionKind::Rain));
         let mirror = wet * row.z_m / (row.z_m + 12.0);
-        let below_horizon = ((y as f32 + 0.5) - self.projection.horizon_y).max(0.0) / self.projection.focal_px;
+        let below_horizon =
+            ((y as f32 + 0.5) - self.projection.horizon_y).max(0.0) / self.projection.focal_px;
         // Places on the ground are measured from the middle of the ego lane; the camera stands beside it by sway and mount.
         let left_m = self.lateral(row, 0.5);
         for (x, (light, mask)) in light.iter_mut().zip(mask).enumerate() {
@@ -166,7 +199,11 @@ impl Moment<'_> {
                 let base = textures.asphalt(d_m, phase);
                 let painted = match paint.at(d_m, metres_a_pixel) {
                     Some((share, yellow)) => {
-                        let colour = if yellow { [0.72, 0.50, 0.10] } else { [0.78, 0.78, 0.76] };
+                        let colour = if yellow {
+                            [0.72, 0.50, 0.10]
+                        } else {
+                            [0.78, 0.78, 0.76]
+                        };
                         blended(base, colour, share)
                     }
                     None => base,
@@ -183,8 +220,15 @@ impl Moment<'_> {
             let shade = drive.light.shade(s_m, d_m);
             *light = [0, 1, 2].map(|i| ground[i] * drive.light.ground[i] * shade);
             if labelled {
-                let on_line = |l: &super::markings::Line| (d_m - l.offset_m).abs() <= (0.5 * l.width_m).max(label_half_m * slant(l.offset_m));
-                *mask = if layout.lines.iter().any(on_line) { 255 } else { 0 };
+                let on_line = |l: &super::markings::Line| {
+                    (d_m - l.offset_m).abs()
+                        <= (0.5 * l.width_m).max(label_half_m * slant(l.offset_m))
+                };
+                *mask = if layout.lines.iter().any(on_line) {
+                    255
+                } else {
+                    0
+                };
             }
         }
     }
@@ -197,9 +241,14 @@ impl Moment<'_> {
 
     fn paint_objects(&self, t_s: f64, canvas: &mut Canvas, mask: &mut [u8]) {
         let (drive, s_m) = (self.drive, self.pose.s_m);
-        let vehicles = drive.traffic.ahead(t_s, &self.pose, &drive.road, &drive.layout);
+        let vehicles = drive
+            .traffic
+            .ahead(t_s, &self.pose, &drive.road, &drive.layout);
         let mut vehicles = vehicles.iter().peekable();
-        for object in drive.surroundings.objects(s_m + 5.0, s_m + 260.0, drive.layout.asphalt_m) {
+        for object in drive
+            .surroundings
+            .objects(s_m + 5.0, s_m + 260.0, drive.layout.asphalt_m)
+        {
             let z_m = (object.s_m - s_m) as f32;
             while let Some(vehicle) = vehicles.next_if(|v| v.z_m >= z_m) {
                 self.paint_vehicle(vehicle, canvas, mask);
@@ -230,8 +279,16 @@ impl Moment<'_> {
         (board.right > 0.0 && board.top < board.crest).then_some(board)
     }
 
-    fn paint_roadside(&self, object: &RoadsideObject, z_m: f32, canvas: &mut Canvas, mask: &mut [u8]) {
-        let Some(board) = self.board(z_m, object.d_m, object.size_m) else { return };
+    fn paint_roadside(
+        &self,
+        object: &RoadsideObject,
+        z_m: f32,
+        canvas: &mut Canvas,
+        mask: &mut [u8],
+    ) {
+        let Some(board) = self.board(z_m, object.d_m, object.size_m) else {
+            return;
+        };
         let sun = self.drive.light.ground;
         let seed = object.seed;
         board.paint(canvas, mask, |across, up| {
@@ -248,7 +305,8 @@ impl Moment<'_> {
                     }
                 }
                 ObjectKind::Building => {
-                    let pane = (across * 6.0).fract() > 0.35 && (up * 5.0).fract() > 0.4 && up < 0.92;
+                    let pane =
+                        (across * 6.0).fract() > 0.35 && (up * 5.0).fract() > 0.4 && up < 0.92;
                     if pane { 0.35 } else { 0.95 }
                 }
                 ObjectKind::Post => 1.0,
@@ -258,20 +316,34 @@ impl Moment<'_> {
     }
 
     fn paint_vehicle(&self, vehicle: &Vehicle, canvas: &mut Canvas, mask: &mut [u8]) {
-        let Some(board) = self.board(vehicle.z_m, vehicle.d_m, vehicle.size_m) else { return };
+        let Some(board) = self.board(vehicle.z_m, vehicle.d_m, vehicle.size_m) else {
+            return;
+        };
         let sun = self.drive.light.ground;
         board.shadow(canvas);
-        let lamp = if vehicle.oncoming { [0.8, 0.8, 0.75] } else { [0.5, 0.04, 0.03] };
+        let lamp = if vehicle.oncoming {
+            [0.8, 0.8, 0.75]
+        } else {
+            [0.5, 0.04, 0.03]
+        };
         let lorry = vehicle.size_m.1 > 2.5;
         board.paint(canvas, mask, |across, up| {
             let side = (2.0 * across - 1.0).abs();
-            let inset = if lorry { 0.0 } else { (up - 0.5).max(0.0) * 0.45 };
+            let inset = if lorry {
+                0.0
+            } else {
+                (up - 0.5).max(0.0) * 0.45
+            };
             if side > 1.0 - inset {
                 return None;
             }
             let lit = |c: Colour, tone: f32| Some([0, 1, 2].map(|i| c[i] * sun[i] * tone));
             if up < 0.14 {
-                if side > 0.62 { lit([0.02; 3], 1.0) } else { lit([0.05; 3], 0.7) }
+                if side > 0.62 {
+                    lit([0.02; 3], 1.0)
+                } else {
+                    lit([0.05; 3], 0.7)
+                }
             } else if (0.38..0.52).contains(&up) && side > 0.76 {
                 Some(lamp)
             } else if !lorry && (0.58..0.92).contains(&up) && side < 0.8 - inset {
@@ -284,7 +356,10 @@ impl Moment<'_> {
         });
         for side in [0.12, 0.88] {
             canvas.lamps.push(Lamp {
-                at: (board.left + side * (board.right - board.left), board.foot - 0.45 * (board.foot - board.top)),
+                at: (
+                    board.left + side * (board.right - board.left),
+                    board.foot - 0.45 * (board.foot - board.top),
+                ),
                 radius_px: 0.07 * (board.right - board.left),
                 colour: lamp,
             });
@@ -310,7 +385,12 @@ impl Board {
     }
 
     /// Paints where `colour_at(across, up)` has a colour, both from 0 to 1; covers labels behind it.
-    fn paint(&self, canvas: &mut Canvas, mask: &mut [u8], colour_at: impl Fn(f32, f32) -> Option<Colour>) {
+    fn paint(
+        &self,
+        canvas: &mut Canvas,
+        mask: &mut [u8],
+        colour_at: impl Fn(f32, f32) -> Option<Colour>,
+    ) {
         let (width_px, height_px) = (self.right - self.left, self.foot - self.top);
         for y in Self::pixels(self.top, self.foot.min(self.crest), canvas.height) {
             let up = ((self.foot - (y as f32 + 0.5)) / height_px).clamp(0.0, 1.0);
@@ -319,7 +399,9 @@ impl Board {
                 let across = ((column - self.left) / width_px).clamp(0.0, 1.0);
                 if let Some(colour) = colour_at(across, up) {
                     // Share of the pixel's width that the board covers: edges do not flicker as things come near.
-                    let cover = ((self.right - column).min(column - self.left) + 0.5).clamp(0.0, 1.0).min(width_px);
+                    let cover = ((self.right - column).min(column - self.left) + 0.5)
+                        .clamp(0.0, 1.0)
+                        .min(width_px);
                     let pixel = y * canvas.width + x;
                     canvas.light[pixel] = blended(canvas.light[pixel], colour, cover);
                     if cover > 0.5 {

@@ -82,9 +82,14 @@ impl Road {
     pub fn ahead(&self, pose: &Pose) -> RoadAhead {
         let grade_here = self.grade(pose.s_m);
         let mut nodes = [Node::default(); RoadAhead::NODES];
-        let (mut z, mut heading, mut lateral, mut rise) = (0.0_f32, -pose.heading, 0.0_f32, 0.0_f32);
+        let (mut z, mut heading, mut lateral, mut rise) =
+            (0.0_f32, -pose.heading, 0.0_f32, 0.0_f32);
         for node in &mut nodes {
-            *node = Node { z_m: z, lateral_m: lateral, rise_m: rise };
+            *node = Node {
+                z_m: z,
+                lateral_m: lateral,
+                rise_m: rise,
+            };
             let step = 0.5 + z * 0.03;
             let middle = pose.s_m + f64::from(z + 0.5 * step);
             let turned = heading + self.curvature(middle) * step;
@@ -142,7 +147,10 @@ mod tests {
             let t = f64::from(i) * 0.1;
             let step = road.pose(t + 0.1).s_m - road.pose(t).s_m;
             let v = f64::from(road.speed_mps);
-            assert!((0.09 * v..0.11 * v).contains(&step), "{step} m in 0.1 s at {v} m/s");
+            assert!(
+                (0.09 * v..0.11 * v).contains(&step),
+                "{step} m in 0.1 s at {v} m/s"
+            );
         }
     }
 

@@ -37,7 +37,9 @@ pub enum SpecError {
     #[error("scene {0:?}: no such look; looks are sim")]
     Look(String),
     /// A parameter is unknown or has a value out of range.
-    #[error("scene parameter {0:?}: wanted seed=N, seconds=0.1..86400, fps=0.1..240 or condition=KIND:SEVERITY[@FROM-TO]")]
+    #[error(
+        "scene parameter {0:?}: wanted seed=N, seconds=0.1..86400, fps=0.1..240 or condition=KIND:SEVERITY[@FROM-TO]"
+    )]
     Parameter(String),
     /// A condition cannot be read.
     #[error(transparent)]
@@ -55,12 +57,22 @@ impl FromStr for DriveSpec {
             .find(|(known, _)| *known == name)
             .ok_or_else(|| SpecError::Look(name.to_owned()))?
             .1;
-        let mut spec = Self { look, seed: 1, seconds: 60.0, fps: 10.0, conditions: Vec::new() };
+        let mut spec = Self {
+            look,
+            seed: 1,
+            seconds: 60.0,
+            fps: 10.0,
+            conditions: Vec::new(),
+        };
         for parameter in parameters.split('&').filter(|p| !p.is_empty()) {
             let wrong = || SpecError::Parameter(parameter.to_owned());
             let (key, value) = parameter.split_once('=').ok_or_else(wrong)?;
             let number = |range: std::ops::RangeInclusive<f64>| {
-                value.parse::<f64>().ok().filter(|v| range.contains(v)).ok_or_else(wrong)
+                value
+                    .parse::<f64>()
+                    .ok()
+                    .filter(|v| range.contains(v))
+                    .ok_or_else(wrong)
             };
             match key {
                 "seed" => spec.seed = value.parse().map_err(|_| wrong())?,
@@ -81,7 +93,9 @@ mod tests {
 
     #[test]
     fn a_drive_is_read_with_its_defaults() {
-        let spec: DriveSpec = "sim?seed=7&condition=fog:3@20-40&condition=dirt:1".parse().unwrap();
+        let spec: DriveSpec = "sim?seed=7&condition=fog:3@20-40&condition=dirt:1"
+            .parse()
+            .unwrap();
         assert_eq!((spec.seed, spec.seconds, spec.fps), (7, 60.0, 10.0));
         assert_eq!(spec.conditions.len(), 2);
     }

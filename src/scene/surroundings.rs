@@ -90,7 +90,9 @@ impl Surroundings {
     /// Height of the far hills in direction `azimuth` of the compass, radians above the horizon.
     pub fn hills(&self, azimuth: f64) -> f32 {
         self.hill_height
-            * (0.55 + 0.3 * wander(self.hill_seed, azimuth * 3.0) + 0.15 * wander(self.hill_seed ^ 1, azimuth * 11.0))
+            * (0.55
+                + 0.3 * wander(self.hill_seed, azimuth * 3.0)
+                + 0.15 * wander(self.hill_seed ^ 1, azimuth * 11.0))
     }
 
     /// Colour of the far hills.
@@ -99,7 +101,12 @@ impl Surroundings {
     }
 
     /// Objects between two arc lengths, farthest first; `edges_m` are the edges of the asphalt.
-    pub fn objects(&self, from_m: f64, to_m: f64, edges_m: (f32, f32)) -> impl Iterator<Item = RoadsideObject> + '_ {
+    pub fn objects(
+        &self,
+        from_m: f64,
+        to_m: f64,
+        edges_m: (f32, f32),
+    ) -> impl Iterator<Item = RoadsideObject> + '_ {
         let cells = (from_m / OBJECT_CELL_M).floor() as i32..(to_m / OBJECT_CELL_M).floor() as i32;
         cells.rev().flat_map(move |cell| {
             [(-1.0_f32, edges_m.0), (1.0, edges_m.1)]
@@ -124,17 +131,32 @@ impl Surroundings {
             ObjectKind::Tree => (
                 draws.range("clear", 2.0, 14.0),
                 (draws.range("w", 2.0, 6.0), draws.range("h", 3.0, 10.0)),
-                blended([0.05, 0.13, 0.03], [0.16, 0.17, 0.06], draws.range("hue", 0.0, 1.0)),
+                blended(
+                    [0.05, 0.13, 0.03],
+                    [0.16, 0.17, 0.06],
+                    draws.range("hue", 0.0, 1.0),
+                ),
             ),
             ObjectKind::Building => (
                 draws.range("clear", 8.0, 22.0),
                 (draws.range("w", 7.0, 16.0), draws.range("h", 4.0, 15.0)),
-                draws.pick("paint", &[[0.5, 0.45, 0.38], [0.35, 0.18, 0.13], [0.6, 0.6, 0.58], [0.3, 0.32, 0.36]]),
+                draws.pick(
+                    "paint",
+                    &[
+                        [0.5, 0.45, 0.38],
+                        [0.35, 0.18, 0.13],
+                        [0.6, 0.6, 0.58],
+                        [0.3, 0.32, 0.36],
+                    ],
+                ),
             ),
             ObjectKind::Post => (
                 draws.range("clear", 0.8, 2.5),
                 (draws.range("w", 0.12, 0.25), draws.range("h", 1.0, 6.0)),
-                draws.pick("paint", &[[0.4, 0.4, 0.42], [0.55, 0.55, 0.55], [0.25, 0.18, 0.12]]),
+                draws.pick(
+                    "paint",
+                    &[[0.4, 0.4, 0.42], [0.55, 0.55, 0.55], [0.25, 0.18, 0.12]],
+                ),
             ),
         };
         Some(RoadsideObject {
@@ -166,8 +188,14 @@ impl GroundRow<'_> {
         let fine = (self.fine.at(d / 0.25) - 0.5) * self.fine_share;
         let coarse = self.coarse.at(d / 1.2) - 0.5;
         let track = 1.0 - ((lane_phase.abs() - 0.85).abs() / 0.45).min(1.0);
-        let patch = if self.patch.at(d / 5.0) > 0.66 { self.of.patches } else { 0.0 };
-        let tone = (1.0 + self.of.roughness * (1.6 * fine + coarse)) * (1.0 + self.of.tracks * track) * (1.0 - 0.4 * patch);
+        let patch = if self.patch.at(d / 5.0) > 0.66 {
+            self.of.patches
+        } else {
+            0.0
+        };
+        let tone = (1.0 + self.of.roughness * (1.6 * fine + coarse))
+            * (1.0 + self.of.tracks * track)
+            * (1.0 - 0.4 * patch);
         scaled(self.of.asphalt, tone)
     }
 

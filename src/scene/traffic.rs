@@ -34,7 +34,10 @@ pub struct Traffic {
 impl Traffic {
     /// The traffic of a drive.
     pub fn new(draws: Draws) -> Self {
-        Self { draws, density: draws.range("traffic density", 0.0, 0.55) }
+        Self {
+            draws,
+            density: draws.range("traffic density", 0.0, 0.55),
+        }
     }
 
     /// Vehicles between 7 and 160 m ahead, farthest first.
@@ -45,20 +48,44 @@ impl Traffic {
                 * (1.0 + 0.3 * wander(self.draws.seed("lead breathing"), t_s / 11.0));
             seen.push(vehicle(Draws(self.draws.seed("lead")), z_m, 0.0, false));
         }
-        for (lane, &middle_m) in layout.lanes_m.iter().enumerate().filter(|(_, m)| m.abs() > 0.1) {
+        for (lane, &middle_m) in layout
+            .lanes_m
+            .iter()
+            .enumerate()
+            .filter(|(_, m)| m.abs() > 0.1)
+        {
             // The left overtakes, the right is slower: a lane's width more to the left is 3 m/s faster.
             let speed_mps = road.speed_mps - 3.0 * middle_m / layout.lane_width_m;
-            self.lane_ahead(lane as i32, t_s * f64::from(speed_mps), pose.s_m, middle_m, &mut seen);
+            self.lane_ahead(
+                lane as i32,
+                t_s * f64::from(speed_mps),
+                pose.s_m,
+                middle_m,
+                &mut seen,
+            );
         }
         if let Some(middle_m) = layout.oncoming_m {
-            self.lane_ahead(ONCOMING, -t_s * f64::from(road.speed_mps), pose.s_m, middle_m, &mut seen);
+            self.lane_ahead(
+                ONCOMING,
+                -t_s * f64::from(road.speed_mps),
+                pose.s_m,
+                middle_m,
+                &mut seen,
+            );
         }
         seen.sort_by(|a, b| b.z_m.total_cmp(&a.z_m));
         seen
     }
 
     /// Adds the vehicles of one lane, whose traffic has moved by `moved_m` since the drive began.
-    fn lane_ahead(&self, lane: i32, moved_m: f64, ego_s_m: f64, middle_m: f32, seen: &mut Vec<Vehicle>) {
+    fn lane_ahead(
+        &self,
+        lane: i32,
+        moved_m: f64,
+        ego_s_m: f64,
+        middle_m: f32,
+        seen: &mut Vec<Vehicle>,
+    ) {
         let cell = |z_m: f64| ((ego_s_m + z_m - moved_m) / CELL_M).floor() as i32;
         for k in cell(7.0)..=cell(160.0) {
             let draws = Draws(hash(self.draws.seed("lane traffic"), k, lane));
@@ -82,11 +109,21 @@ fn vehicle(draws: Draws, z_m: f32, middle_m: f32, oncoming: bool) -> Vehicle {
         size_m: if lorry {
             (2.5, draws.range("height", 2.8, 3.8))
         } else {
-            (draws.range("width", 1.65, 1.95), draws.range("height", 1.35, 1.85))
+            (
+                draws.range("width", 1.65, 1.95),
+                draws.range("height", 1.35, 1.85),
+            )
         },
         colour: draws.pick(
             "paint",
-            &[[0.6, 0.6, 0.6], [0.75, 0.75, 0.73], [0.03, 0.03, 0.035], [0.12, 0.13, 0.15], [0.35, 0.03, 0.03], [0.03, 0.08, 0.3]],
+            &[
+                [0.6, 0.6, 0.6],
+                [0.75, 0.75, 0.73],
+                [0.03, 0.03, 0.035],
+                [0.12, 0.13, 0.15],
+                [0.35, 0.03, 0.03],
+                [0.03, 0.08, 0.3],
+            ],
         ),
         oncoming,
     }

@@ -4,8 +4,8 @@ use std::sync::OnceLock;
 
 use super::Drive;
 use super::conditions::{
-    BLUR_SIGMA, ConditionKind, DIRT_COVER, FOG_EXTINCTION, GLARE_VEIL, NIGHT_DAYLIGHT, NOISE_SIGMA, RAIN_DROPS,
-    RAIN_EXTINCTION, RAIN_STREAKS, Severities, graded,
+    BLUR_SIGMA, ConditionKind, DIRT_COVER, FOG_EXTINCTION, GLARE_VEIL, NIGHT_DAYLIGHT, NOISE_SIGMA,
+    RAIN_DROPS, RAIN_EXTINCTION, RAIN_STREAKS, Severities, graded,
 };
 use super::light::{Colour, blended, scaled};
 use super::noise::{hash, value_noise};
@@ -13,18 +13,35 @@ use super::projection::Projection;
 use super::render::{Canvas, uniform};
 
 /// Applies the conditions between scene and sensor, in the order light meets them; returns the exposure's gain.
-pub fn apply(canvas: &mut Canvas, drive: &Drive, projection: &Projection, severities: &Severities, time_seed: u32) -> f32 {
+pub fn apply(
+    canvas: &mut Canvas,
+    drive: &Drive,
+    projection: &Projection,
+    severities: &Severities,
+    time_seed: u32,
+) -> f32 {
     let daylight = graded(NIGHT_DAYLIGHT, severities.of(ConditionKind::Night));
     if daylight < 1.0 {
         night(canvas, projection, daylight);
     }
     let rain = severities.of(ConditionKind::Rain);
-    let extinction = graded(FOG_EXTINCTION, severities.of(ConditionKind::Fog)) + graded(RAIN_EXTINCTION, rain);
+    let extinction =
+        graded(FOG_EXTINCTION, severities.of(ConditionKind::Fog)) + graded(RAIN_EXTINCTION, rain);
     if extinction > 0.0 {
-        haze(canvas, projection, extinction, scaled([0.74, 0.76, 0.79], daylight.max(0.03)));
+        haze(
+            canvas,
+            projection,
+            extinction,
+            scaled([0.74, 0.76, 0.79], daylight.max(0.03)),
+        );
     }
     if rain > 0.0 {
-        streaks(canvas, graded(RAIN_STREAKS, rain), daylight.max(0.08), time_seed);
+        streaks(
+            canvas,
+            graded(RAIN_STREAKS, rain),
+            daylight.max(0.08),
+            time_seed,
+        );
         drops(canvas, graded(RAIN_DROPS, rain), drive.seed);
     }
     let veil = graded(GLARE_VEIL, severities.of(ConditionKind::Glare));
@@ -53,7 +70,8 @@ pub fn expose(canvas: &Canvas, gain: f32, severities: &Severities, time_seed: u3
             let at = (pixel[channel] * gain).clamp(0.0, 1.0) * (CURVE_STEPS - 1) as f32;
             let value = curve[at as usize];
             *out = if sigma > 0.0 {
-                (value + sigma * normal(hash(time_seed, i as i32, channel as i32)) + 0.5).clamp(0.0, 255.0) as u8
+                (value + sigma * normal(hash(time_seed, i as i32, channel as i32)) + 0.5)
+                    .clamp(0.0, 255.0) as u8
             } else {
                 (value + 0.5) as u8
             };
@@ -70,7 +88,12 @@ fn srgb_curve() -> &'static [f32] {
         (0..CURVE_STEPS)
             .map(|i| {
                 let linear = i as f32 / (CURVE_STEPS - 1) as f32;
-                255.0 * if linear <= 0.003_130_8 { 12.92 * linear } else { 1.055 * libm::powf(linear, 1.0 / 2.4) - 0.055 }
+                255.0
+                    * if linear <= 0.003_130_8 {
+                        12.92 * linear
+                    } else {
+                        1.055 * libm::powf(linear, 1.0 / 2.4) - 0.055
+                    }
             })
             .collect()
     })
@@ -136,7 +159,10 @@ fn streaks(canvas: &mut Canvas, count_320: f32, brightness: f32, time_seed: u32)
     let scale = canvas.width as f32 / 320.0;
     let slant = 0.25 * (uniform(time_seed, 0, 1) - 0.5);
     for i in 0..count_320 as usize {
-        let (x, y) = (uniform(time_seed, i, 2) * canvas.width as f32, uniform(time_seed, i, 3) * canvas.height as f32);
+        let (x, y) = (
+            uniform(time_seed, i, 2) * canvas.width as f32,
+            uniform(time_seed, i, 3) * canvas.height as f32,
+        );
         let length = (5.0 + 13.0 * uniform(time_seed, i, 4)) * scale;
         let opacity = 0.10 + 0.22 * uniform(time_seed, i, 5);
         for step in 0..length as usize {
@@ -166,7 +192,11 @@ fn drops(canvas: &mut Canvas, count: f32, seed: u32) {
                     let from_x = (cx - 4.0 * dx).clamp(0.0, width - 1.0) as usize;
                     let from_y = (cy - 4.0 * dy).clamp(0.0, height - 1.0) as usize;
                     let light = &mut canvas.light[y * canvas.width + x];
-                    *light = blended(*light, scaled(behind[from_y * canvas.width + from_x], 1.1), (3.0 * inside).min(0.9));
+                    *light = blended(
+                        *light,
+                        scaled(behind[from_y * canvas.width + from_x], 1.1),
+                        (3.0 * inside).min(0.9),
+                    );
                 }
             }
         }
@@ -182,7 +212,8 @@ fn glare(canvas: &mut Canvas, projection: &Projection, veil: f32, seed: u32) {
         for x in 0..canvas.width {
             let (dx, dy) = ((x as f32 - sun_x) / width, (y as f32 - sun_y) / width);
             let r2 = dx * dx + dy * dy;
-            let glow = veil * (0.45 + 1.3 * 0.02 / (0.02 + r2)) + veil * 6.0 * 0.0006 / (0.0006 + r2);
+            let glow =
+                veil * (0.45 + 1.3 * 0.02 / (0.02 + r2)) + veil * 6.0 * 0.0006 / (0.0006 + r2);
             let light = &mut canvas.light[y * canvas.width + x];
             *light = [0, 1, 2].map(|c| light[c] + glow * [1.0, 0.93, 0.78][c]);
         }
@@ -192,18 +223,28 @@ fn glare(canvas: &mut Canvas, projection: &Projection, veil: f32, seed: u32) {
 /// Smears that cover the wanted share of the lens, brown and nearly opaque.
 fn dirt(canvas: &mut Canvas, cover: f32, daylight: f32, seed: u32) {
     let field = |x: usize, y: usize| {
-        let (u, v) = (x as f64 / canvas.width as f64, y as f64 / canvas.width as f64);
-        0.6 * value_noise(seed ^ 31, u * 9.0, v * 9.0) + 0.4 * value_noise(seed ^ 32, u * 27.0, v * 27.0)
+        let (u, v) = (
+            x as f64 / canvas.width as f64,
+            y as f64 / canvas.width as f64,
+        );
+        0.6 * value_noise(seed ^ 31, u * 9.0, v * 9.0)
+            + 0.4 * value_noise(seed ^ 32, u * 27.0, v * 27.0)
     };
     let mut sample: Vec<f32> = (0..canvas.height)
         .step_by((canvas.height / 20).max(1))
-        .flat_map(|y| (0..canvas.width).step_by((canvas.width / 40).max(1)).map(move |x| (x, y)))
+        .flat_map(|y| {
+            (0..canvas.width)
+                .step_by((canvas.width / 40).max(1))
+                .map(move |x| (x, y))
+        })
         .map(|(x, y)| field(x, y))
         .collect();
     sample.sort_by(f32::total_cmp);
     let edge = sample[((1.0 - cover) * (sample.len() - 1) as f32) as usize];
     let opacity: Vec<f32> = (0..canvas.width * canvas.height)
-        .map(|i| ((field(i % canvas.width, i / canvas.width) - edge) / 0.04 + 0.5).clamp(0.0, 1.0) * 0.88)
+        .map(|i| {
+            ((field(i % canvas.width, i / canvas.width) - edge) / 0.04 + 0.5).clamp(0.0, 1.0) * 0.88
+        })
         .collect();
     let soil = scaled([0.11, 0.085, 0.06], daylight);
     for (light, opacity) in canvas.light.iter_mut().zip(opacity) {
@@ -214,8 +255,9 @@ fn dirt(canvas: &mut Canvas, cover: f32, daylight: f32, seed: u32) {
 /// Gaussian blur of the light, one axis after the other; pixels beyond the edge repeat it.
 fn blur(canvas: &mut Canvas, sigma_px: f32) {
     let reach = (3.0 * sigma_px).ceil() as isize;
-    let mut kernel: Vec<f32> =
-        (-reach..=reach).map(|i| libm::expf(-0.5 * (i as f32 / sigma_px) * (i as f32 / sigma_px))).collect();
+    let mut kernel: Vec<f32> = (-reach..=reach)
+        .map(|i| libm::expf(-0.5 * (i as f32 / sigma_px) * (i as f32 / sigma_px)))
+        .collect();
     let total: f32 = kernel.iter().sum();
     kernel.iter_mut().for_each(|k| *k /= total);
     let (width, height) = (canvas.width, canvas.height);
@@ -229,7 +271,8 @@ fn blur(canvas: &mut Canvas, sigma_px: f32) {
             for j in 0..length {
                 let mut sum = [0.0; 3];
                 for (k, weight) in kernel.iter().enumerate() {
-                    let from = (j as isize + k as isize - reach).clamp(0, length as isize - 1) as usize;
+                    let from =
+                        (j as isize + k as isize - reach).clamp(0, length as isize - 1) as usize;
                     (0..3).for_each(|c| sum[c] += weight * line[from][c]);
                 }
                 canvas.light[start + j * step] = sum;

@@ -1,0 +1,88 @@
+//! Runs the built program as its user would.
+#![allow(dead_code, clippy::unwrap_used)]
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+/// What a run of the program left.
+pub struct Ran {
+    pub code: i32,
+    pub out: String,
+    pub err: String,
+}
+
+/// Runs gapwatch in a folder.
+pub fn gapwatch_in(folder: &Path, args: &[&str]) -> Ran {
+    ran(Command::new(env!("CARGO_BIN_EXE_gapwatch")).args(args).current_dir(folder).output().unwrap())
+}
+
+/// Runs gapwatch with a number of threads.
+pub fn gapwatch_threads(folder: &Path, threads: u32, args: &[&str]) -> Ran {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_gapwatch"));
+    ran(command.args(args).current_dir(folder).env("RAYON_NUM_THREADS", threads.to_string()).output().unwrap())
+}
+
+/// A program's exit code and output.
+pub fn ran(output: Output) -> Ran {
+    Ran {
+        code: output.status.code().unwrap_or(-1),
+        out: String::from_utf8(output.stdout).unwrap(),
+        err: String::from_utf8(output.stderr).unwrap(),
+    }
+}
+
+impl Ran {
+    /// The output of a run that did its job.
+    pub fn ok(self) -> String {
+        assert_eq!(self.code, 0, "standard error: {}", self.err);
+        self.out
+    }
+
+    /// The one line of a run that could not do its job.
+    pub fn refusal(self) -> String {
+        assert_eq!(self.code, 2, "output: {}\nstandard error: {}", self.out, self.err);
+        assert_eq!(self.err.lines().count(), 1, "wanted one line: {}", self.err);
+        assert_eq!(self.out, "");
+        self.err
+    }
+}
+
+/// Every file below a folder, with its bytes, in name order.
+pub fn files(folder: &Path) -> Vec<(PathBuf, Vec<u8>)> {
+    let mut found = Vec::new();
+    for entry in fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        if path.is_dir() {
+            found.extend(files(&path));
+        } else {
+            found.push((path.clone(), fs::read(&path).unwrap()));
+        }
+    }
+    found.sort();
+    found
+}
+
+/// Compares output with `tests/expected/NAME`: words exactly, numbers within 2 % or 0.02 (encoders round differently on
+/// other kinds of CPU). `BLESS=1` rewrites the file.
+pub fn assert_expected(name: &str, found: &str) {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/expected").join(name);
+    if std::env::var_os("BLESS").is_some() {
+        fs::write(&path, found).unwrap();
+    }
+    let wanted = fs::read_to_string(&path).unwrap();
+    let (found_parts, wanted_parts) = (parts(found), parts(&wanted));
+    let same = found_parts.len() == wanted_parts.len()
+        && found_parts.iter().zip(&wanted_parts).all(|(a, b)| match (a.parse::<f64>(), b.parse::<f64>()) {
+            (Ok(a), Ok(b)) => (a - b).abs() <= (0.02 * b.abs()).max(0.02),
+            _ => a.trim() == b.trim(),
+        });
+    assert!(same, "{name}: wanted\n{wanted}\nfound\n{found}");
+}
+
+/// Text cut into numbers and what stands between them.
+fn parts(text: &str) -> Vec<String> {
+    let chars: Vec<char> = text.chars().collect();
+    let in_number = |c: &char| c.is_ascii_digit() || *c == '.';
+    chars.chunk_by(|a, b| in_number(a) == in_number(b)).map(|part| part.iter().collect()).collect()
+}
