@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use sha2::{Digest, Sha256};
 use tract_onnx::prelude::*;
-use tract_onnx::tract_hir::infer::Factoid;
+use tract_onnx::tract_hir::infer::{Factoid, GenericFactoid, ShapeFactoid};
 
 use crate::model::ModelSpec;
 
@@ -87,7 +87,10 @@ impl Encoder {
             model: spec.name.clone(),
             why: why.to_string(),
         };
-        let onnx = tract_onnx::onnx();
+        // Shapes written in the file may name its own batch or size; they are inferred anew from ours.
+        let onnx = tract_onnx::onnx()
+            .with_ignore_output_shapes(true)
+            .with_ignore_value_info(true);
         let proto = onnx
             .proto_model_for_read(&mut spec.onnx.as_ref())
             .map_err(|e| broken(&root(&e)))?;
@@ -97,6 +100,11 @@ impl Encoder {
             .ok_or_else(|| broken(&"it has no graph"))?;
         let parsed = onnx.parse(&proto, None).map_err(|e| broken(&root(&e)))?;
         let mut model = parsed.model;
+        if let Some(name) = broken_constant(&model) {
+            return Err(broken(&format!(
+                "its constant {name} has values that are not finite"
+            )));
+        }
         let outlets = spec
             .taps
             .iter()
@@ -133,9 +141,8 @@ impl Encoder {
             .map_err(|e| broken(&root(&e)))?
             .shape
             .clone();
-        let wanted = InferenceFact::from(f32::fact(input_shape)).shape;
-        if declared.unify(&wanted).is_err() {
-            return Err(wrong_input(&name, format!("{declared:?}")));
+        if !admits(&declared, &input_shape) {
+            return Err(wrong_input(&name, format!("[{declared:?}]")));
         }
         model
             .set_input_fact(0, f32::fact(input_shape).into())
@@ -246,6 +253,33 @@ impl EncoderSession {
             })
             .collect()
     }
+}
+
+/// Whether an input declared so takes pictures of this shape: what the file leaves open or gives a name is free.
+fn admits(declared: &ShapeFactoid, wanted: &[usize; 4]) -> bool {
+    let dims: Vec<_> = declared.dims().collect();
+    let rank_fits = dims.len() == wanted.len() || (declared.is_open() && dims.len() < wanted.len());
+    let fixed = |dim: &GenericFactoid<TDim>| dim.concretize().and_then(|dim| dim.to_i64().ok());
+    rank_fits
+        && dims.iter().zip(wanted).all(|(dim, &wanted)| {
+            fixed(dim).is_none_or(|found| usize::try_from(found) == Ok(wanted))
+        })
+}
+
+/// The first constant with a NaN, or with an infinity among other values (one alone may be a bound that is none). A ReLU
+/// of tract turns NaN into 0, so they would not show in the taps.
+fn broken_constant(model: &InferenceModel) -> Option<String> {
+    model.nodes().iter().find_map(|node| {
+        let value = node
+            .outputs
+            .iter()
+            .find_map(|output| output.fact.value.concretize())?;
+        let values = value.try_as_plain_ram().ok()?.as_slice::<f32>().ok()?;
+        let broken = values
+            .iter()
+            .any(|v| v.is_nan() || (v.is_infinite() && values.len() > 1));
+        broken.then(|| node.name.clone())
+    })
 }
 
 /// tract's chain of contexts in one line, the cause last.

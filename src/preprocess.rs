@@ -36,6 +36,22 @@ pub struct Preprocessing {
     pub crop: [f64; 4],
 }
 
+impl std::fmt::Display for Preprocessing {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let Self {
+            width,
+            height,
+            mean,
+            std,
+            crop,
+        } = self;
+        write!(
+            f,
+            "{width}x{height}, mean {mean:?}, std {std:?}, crop {crop:?}"
+        )
+    }
+}
+
 /// The whole picture, as a crop.
 pub const CROP_NOTHING: [f64; 4] = [0.0, 0.0, 1.0, 1.0];
 
@@ -196,12 +212,19 @@ mod tests {
             crop: [0.0, 0.5, 1.0, 0.5],
             ..of(32, 16)
         };
-        let (mut of_crop, mut of_part) = (Preprocessor::new(&cropped), Preprocessor::new(&of(32, 16)));
-        let (crop, part) = (of_crop.input(&whole).unwrap(), of_part.input(&lower).unwrap());
+        let (mut of_crop, mut of_part) =
+            (Preprocessor::new(&cropped), Preprocessor::new(&of(32, 16)));
+        let (crop, part) = (
+            of_crop.input(&whole).unwrap(),
+            of_part.input(&lower).unwrap(),
+        );
         // The kernel of the first row reaches over the edge of the crop, into pixels that are there.
         for row in (1..16).chain(17..32).chain(33..48) {
             let cells = row * 32..row * 32 + 32;
-            assert!(crop[cells.clone()] == part[cells], "row {row} of the planes one after the other");
+            assert!(
+                crop[cells.clone()] == part[cells],
+                "row {row} of the planes one after the other"
+            );
         }
     }
 

@@ -257,8 +257,8 @@ impl Reference {
             ("taps", ours.taps.join(","), theirs.taps.join(",")),
             (
                 "preprocessing",
-                format!("{:?}", ours.preprocessing),
-                format!("{:?}", theirs.preprocessing),
+                ours.preprocessing.to_string(),
+                theirs.preprocessing.to_string(),
             ),
             ("resize kernel", ours.resize.clone(), theirs.resize.clone()),
         ];

@@ -26,29 +26,47 @@ fn pictures_without_content_are_undefined_by_name() {
         ("constant.png", constant([90, 120, 30]), "uniform"),
         ("black.png", constant([0, 0, 0]), "black"),
         ("white.png", constant([255, 255, 255]), "uniform"),
-        ("dot.png", RgbImage::from_pixel(1, 1, Rgb([7, 8, 9])), "1x1 pixels is too small"),
+        (
+            "dot.png",
+            RgbImage::from_pixel(1, 1, Rgb([7, 8, 9])),
+            "1x1 pixels is too small",
+        ),
     ] {
         picture.save(folder.path().join(name)).unwrap();
         let (rows, _) = compare(folder.path(), name);
         assert_eq!(rows.as_array().unwrap().len(), 3);
         for row in rows.as_array().unwrap() {
-            assert_eq!((row["images"].as_u64(), row["judged"].as_u64()), (Some(1), Some(0)));
+            assert_eq!(
+                (row["images"].as_u64(), row["judged"].as_u64()),
+                (Some(1), Some(0))
+            );
             for tap in ["e2", "e3", "e4"] {
                 assert!(row[tap].is_null(), "{name}: {row}");
-                assert!(row["reasons"][tap].as_str().unwrap().contains(reason), "{name}: {row}");
+                assert!(
+                    row["reasons"][tap].as_str().unwrap().contains(reason),
+                    "{name}: {row}"
+                );
             }
         }
     }
     let table = gapwatch_in(folder.path(), &["compare", SCENES, "black.png"]).ok();
-    assert!(table.contains("undefined") && table.contains("picture is black"), "{table}");
+    assert!(
+        table.contains("undefined") && table.contains("picture is black"),
+        "{table}"
+    );
 }
 
 #[test]
 fn a_reference_that_cannot_be_judged_is_refused() {
     let folder = tempfile::tempdir().unwrap();
-    RgbImage::new(320, 160).save(folder.path().join("black.png")).unwrap();
+    RgbImage::new(320, 160)
+        .save(folder.path().join("black.png"))
+        .unwrap();
     let line = gapwatch_in(folder.path(), &["compare", "black.png", SCENES]).refusal();
-    assert!(line.contains("black.png") && line.contains("picture is black"), "{line}");
+    assert!(
+        line.contains("black.png") && line.contains("picture is black"),
+        "{line}"
+    );
 }
 
 #[test]
@@ -63,7 +81,10 @@ fn cut_image_files_are_named() {
         for length in [0, 2, 20, whole.len() / 2, whole.len() - 2] {
             fs::write(&path, &whole[..length]).unwrap();
             let line = gapwatch_in(folder.path(), &["compare", SCENES, name]).refusal();
-            assert!(line.contains(name) && line.contains("wanted a whole PNG or JPEG"), "{length} bytes: {line}");
+            assert!(
+                line.contains(name) && line.contains("wanted a whole PNG or JPEG"),
+                "{length} bytes: {line}"
+            );
         }
     }
 }
@@ -77,7 +98,10 @@ fn a_drive_with_a_cut_picture_goes_on_without_it() {
         let whole = fs::read(&path).unwrap();
         fs::write(&path, &whole[..whole.len() / 3]).unwrap();
     }
-    let ran = gapwatch_in(folder.path(), &["replay", "s/frames", "--journal", "j.jsonl", "--check"]);
+    let ran = gapwatch_in(
+        folder.path(),
+        &["replay", "s/frames", "--journal", "j.jsonl", "--check"],
+    );
     assert_eq!(ran.code, 3, "{}", ran.err);
     let lines: Vec<Value> = fs::read_to_string(folder.path().join("j.jsonl"))
         .unwrap()
@@ -85,9 +109,16 @@ fn a_drive_with_a_cut_picture_goes_on_without_it() {
         .map(|line| serde_json::from_str(line).unwrap())
         .collect();
     assert_eq!(lines.len(), 20);
-    assert!(lines[8]["health"].as_str().unwrap().contains("000008.png"), "{}", lines[8]);
+    assert!(
+        lines[8]["health"].as_str().unwrap().contains("000008.png"),
+        "{}",
+        lines[8]
+    );
     assert!(lines[8]["score"].is_null() && lines[8]["gap"]["e2"].is_null());
-    assert_eq!((lines[15]["state"].as_str(), lines[15]["reason"].as_str()), (Some("SensorFault"), Some("corrupt")));
+    assert_eq!(
+        (lines[15]["state"].as_str(), lines[15]["reason"].as_str()),
+        (Some("SensorFault"), Some("corrupt"))
+    );
     assert_ne!(lines[17]["state"], "SensorFault");
 }
 

@@ -10,7 +10,11 @@ use program::{assert_expected, gapwatch_in};
 use serde_json::Value;
 
 fn journal(path: &Path) -> Vec<Value> {
-    fs::read_to_string(path).unwrap().lines().map(|line| serde_json::from_str(line).unwrap()).collect()
+    fs::read_to_string(path)
+        .unwrap()
+        .lines()
+        .map(|line| serde_json::from_str(line).unwrap())
+        .collect()
 }
 
 /// Changes of state with their times.
@@ -37,20 +41,40 @@ fn without_duration(out: &str) -> String {
 #[test]
 fn the_built_in_drive_is_ok_then_a_gap_within_3_s_of_the_shift_then_ok_again() {
     let folder = tempfile::tempdir().unwrap();
-    let out = gapwatch_in(folder.path(), &["replay", "--journal", "j.jsonl", "--can", "log:can.log"]).ok();
+    let out = gapwatch_in(
+        folder.path(),
+        &["replay", "--journal", "j.jsonl", "--can", "log:can.log"],
+    )
+    .ok();
     assert_expected("replay.txt", &without_duration(&out));
     let journal = journal(&folder.path().join("j.jsonl"));
     assert_eq!(journal.len(), 600);
-    let at = |t: f64| journal[(t * 10.0).round() as usize]["state"].as_str().unwrap();
+    let at = |t: f64| {
+        journal[(t * 10.0).round() as usize]["state"]
+            .as_str()
+            .unwrap()
+    };
     for tenth in 20..180 {
-        assert_eq!(at(f64::from(tenth) / 10.0), "Ok", "nominal part, {tenth} tenths");
+        assert_eq!(
+            at(f64::from(tenth) / 10.0),
+            "Ok",
+            "nominal part, {tenth} tenths"
+        );
     }
-    assert_eq!(at(23.0), "Gap", "3 s after the fog has reached its severity");
+    assert_eq!(
+        at(23.0),
+        "Gap",
+        "3 s after the fog has reached its severity"
+    );
     for tenth in 230..380 {
         assert_eq!(at(f64::from(tenth) / 10.0), "Gap", "fog, {tenth} tenths");
     }
     for tenth in 430..600 {
-        assert_eq!(at(f64::from(tenth) / 10.0), "Ok", "nominal again, {tenth} tenths");
+        assert_eq!(
+            at(f64::from(tenth) / 10.0),
+            "Ok",
+            "nominal again, {tenth} tenths"
+        );
     }
     let log = fs::read_to_string(folder.path().join("can.log")).unwrap();
     assert!(log.lines().filter(|line| line.contains(" 5D0#")).count() >= 600);
@@ -60,13 +84,35 @@ fn the_built_in_drive_is_ok_then_a_gap_within_3_s_of_the_shift_then_ok_again() {
 #[test]
 fn journal_lines_have_every_key_and_one_number_a_tap() {
     let folder = tempfile::tempdir().unwrap();
-    gapwatch_in(folder.path(), &["replay", "scene:sim?seed=3&seconds=2&fps=5", "--journal", "j.jsonl"]).ok();
+    gapwatch_in(
+        folder.path(),
+        &[
+            "replay",
+            "scene:sim?seed=3&seconds=2&fps=5",
+            "--journal",
+            "j.jsonl",
+        ],
+    )
+    .ok();
     for line in journal(&folder.path().join("j.jsonl")) {
-        for key in ["t_s", "seq", "state", "reason", "score", "gap", "similarity", "health", "latency_ms"] {
+        for key in [
+            "t_s",
+            "seq",
+            "state",
+            "reason",
+            "score",
+            "gap",
+            "similarity",
+            "health",
+            "latency_ms",
+        ] {
             assert!(!line[key].is_null(), "{key} in {line}");
         }
         for tap in ["e2", "e3", "e4"] {
-            let (gap, similarity) = (line["gap"][tap].as_f64().unwrap(), line["similarity"][tap].as_f64().unwrap());
+            let (gap, similarity) = (
+                line["gap"][tap].as_f64().unwrap(),
+                line["similarity"][tap].as_f64().unwrap(),
+            );
             assert!((0.0..=1.0).contains(&gap) && (gap + similarity - 1.0).abs() < 1e-12);
         }
     }
@@ -79,7 +125,9 @@ fn the_same_drive_gives_the_same_verdicts_twice() {
         let drive = "scene:sim?seed=11&seconds=8&condition=dirt:3@3-6";
         gapwatch_in(folder.path(), &["replay", drive, "--journal", name]).ok();
         let mut lines = journal(&folder.path().join(name));
-        lines.iter_mut().for_each(|line| line["latency_ms"] = Value::Null);
+        lines
+            .iter_mut()
+            .for_each(|line| line["latency_ms"] = Value::Null);
         lines
     };
     assert_eq!(verdicts("a"), verdicts("b"));
@@ -90,20 +138,32 @@ fn check_tells_gap_no_gap_and_could_not_judge_apart() {
     let folder = tempfile::tempdir().unwrap();
     fs::create_dir(folder.path().join("black")).unwrap();
     for i in 0..20 {
-        image::RgbImage::new(64, 32).save(folder.path().join(format!("black/{i}.png"))).unwrap();
+        image::RgbImage::new(64, 32)
+            .save(folder.path().join(format!("black/{i}.png")))
+            .unwrap();
     }
     let check = |source: &str| gapwatch_in(folder.path(), &["replay", source, "--check"]);
     assert_eq!(check("scene:sim?seed=7&seconds=8").code, 0);
-    assert_eq!(check("scene:sim?seed=7&seconds=8&condition=noise:5").code, 1);
+    assert_eq!(
+        check("scene:sim?seed=7&seconds=8&condition=noise:5").code,
+        1
+    );
     let blind = check("black");
     assert_eq!(blind.code, 3, "{}", blind.err);
-    assert!(blind.out.contains("SensorFault") && !blind.out.contains("Ok"), "{}", blind.out);
+    assert!(
+        blind.out.contains("SensorFault") && !blind.out.contains("Ok"),
+        "{}",
+        blind.out
+    );
 }
 
 #[test]
 fn with_the_log_on_standard_output_nothing_else_is_there() {
     let folder = tempfile::tempdir().unwrap();
-    let ran = gapwatch_in(folder.path(), &["replay", "scene:sim?seconds=2", "--can", "log:-"]);
+    let ran = gapwatch_in(
+        folder.path(),
+        &["replay", "scene:sim?seconds=2", "--can", "log:-"],
+    );
     assert_eq!(ran.code, 0);
     for line in ran.out.lines() {
         assert!(line.starts_with('(') && line.contains('#'), "{line}");

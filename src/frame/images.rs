@@ -113,8 +113,8 @@ fn read(path: &Path) -> Result<Picture, String> {
     let bytes = fs::read(path).map_err(|error| error.to_string())?;
     let format = image::guess_format(&bytes)
         .map_err(|_| format!("{} bytes that are no image", bytes.len()))?;
-    if format == ImageFormat::Jpeg && !jpeg_is_whole(&bytes) {
-        return Err(format!("a JPEG cut off after {} bytes", bytes.len()));
+    if !is_whole(format, &bytes) {
+        return Err(format!("an image cut off after {} bytes", bytes.len()));
     }
     let mut reader = image::ImageReader::with_format(std::io::Cursor::new(bytes), format);
     let mut limits = image::Limits::default();
@@ -132,14 +132,23 @@ fn read(path: &Path) -> Result<Picture, String> {
     })
 }
 
-/// Whether the end marker follows the last scan: the decoder fills a cut file with grey without a word.
-fn jpeg_is_whole(bytes: &[u8]) -> bool {
-    let last_scan = bytes.windows(2).rposition(|marker| marker == [0xFF, 0xDA]);
-    last_scan.is_some_and(|scan| {
-        bytes[scan..]
-            .windows(2)
-            .any(|marker| marker == [0xFF, 0xD9])
-    })
+/// The last eight bytes of a PNG: the name of its end chunk and the checksum of that.
+const PNG_END: &[u8] = b"IEND\xAE\x42\x60\x82";
+
+/// Whether the format's end marker is there, in a JPEG after its last scan. The JPEG decoder fills what is missing with
+/// grey without a word.
+fn is_whole(format: ImageFormat, bytes: &[u8]) -> bool {
+    let has =
+        |bytes: &[u8], marker: &[u8]| bytes.windows(marker.len()).any(|window| window == marker);
+    match format {
+        ImageFormat::Png => has(bytes, PNG_END),
+        ImageFormat::Jpeg => {
+            let last_scan = bytes.windows(2).rposition(|marker| marker == [0xFF, 0xDA]);
+            last_scan.is_some_and(|scan| has(&bytes[scan..], &[0xFF, 0xD9]))
+        }
+        // Anything else is left to its decoder, which this build does not have.
+        _ => true,
+    }
 }
 
 #[cfg(test)]

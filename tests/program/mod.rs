@@ -14,13 +14,22 @@ pub struct Ran {
 
 /// Runs gapwatch in a folder.
 pub fn gapwatch_in(folder: &Path, args: &[&str]) -> Ran {
-    ran(Command::new(env!("CARGO_BIN_EXE_gapwatch")).args(args).current_dir(folder).output().unwrap())
+    ran(Command::new(env!("CARGO_BIN_EXE_gapwatch"))
+        .args(args)
+        .current_dir(folder)
+        .output()
+        .unwrap())
 }
 
 /// Runs gapwatch with a number of threads.
 pub fn gapwatch_threads(folder: &Path, threads: u32, args: &[&str]) -> Ran {
     let mut command = Command::new(env!("CARGO_BIN_EXE_gapwatch"));
-    ran(command.args(args).current_dir(folder).env("RAYON_NUM_THREADS", threads.to_string()).output().unwrap())
+    ran(command
+        .args(args)
+        .current_dir(folder)
+        .env("RAYON_NUM_THREADS", threads.to_string())
+        .output()
+        .unwrap())
 }
 
 /// A program's exit code and output.
@@ -41,7 +50,11 @@ impl Ran {
 
     /// The one line of a run that could not do its job.
     pub fn refusal(self) -> String {
-        assert_eq!(self.code, 2, "output: {}\nstandard error: {}", self.out, self.err);
+        assert_eq!(
+            self.code, 2,
+            "output: {}\nstandard error: {}",
+            self.out, self.err
+        );
         assert_eq!(self.err.lines().count(), 1, "wanted one line: {}", self.err);
         assert_eq!(self.out, "");
         self.err
@@ -66,16 +79,20 @@ pub fn files(folder: &Path) -> Vec<(PathBuf, Vec<u8>)> {
 /// Compares output with `tests/expected/NAME`: words exactly, numbers within 2 % or 0.02 (encoders round differently on
 /// other kinds of CPU). `BLESS=1` rewrites the file.
 pub fn assert_expected(name: &str, found: &str) {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/expected").join(name);
+    let path = Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("tests/expected")
+        .join(name);
     if std::env::var_os("BLESS").is_some() {
         fs::write(&path, found).unwrap();
     }
     let wanted = fs::read_to_string(&path).unwrap();
     let (found_parts, wanted_parts) = (parts(found), parts(&wanted));
     let same = found_parts.len() == wanted_parts.len()
-        && found_parts.iter().zip(&wanted_parts).all(|(a, b)| match (a.parse::<f64>(), b.parse::<f64>()) {
-            (Ok(a), Ok(b)) => (a - b).abs() <= (0.02 * b.abs()).max(0.02),
-            _ => a.trim() == b.trim(),
+        && found_parts.iter().zip(&wanted_parts).all(|(a, b)| {
+            match (a.parse::<f64>(), b.parse::<f64>()) {
+                (Ok(a), Ok(b)) => (a - b).abs() <= (0.02 * b.abs()).max(0.02),
+                _ => a.trim() == b.trim(),
+            }
         });
     assert!(same, "{name}: wanted\n{wanted}\nfound\n{found}");
 }
@@ -84,5 +101,8 @@ pub fn assert_expected(name: &str, found: &str) {
 fn parts(text: &str) -> Vec<String> {
     let chars: Vec<char> = text.chars().collect();
     let in_number = |c: &char| c.is_ascii_digit() || *c == '.';
-    chars.chunk_by(|a, b| in_number(a) == in_number(b)).map(|part| part.iter().collect()).collect()
+    chars
+        .chunk_by(|a, b| in_number(a) == in_number(b))
+        .map(|part| part.iter().collect())
+        .collect()
 }

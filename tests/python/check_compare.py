@@ -42,8 +42,8 @@ IMAGES_MIN = 20
 COUNTED_PIXELS_MIN = 50
 # The bin edges of log-energy-js lie on a grid; this is several of its cells.
 EDGE_GRID = 1e-3
-# Divergence in bits that the decoding of JPEG may make: twenty times what rounding makes, and
-# about what another way of enlarging the colour planes makes.
+# Divergence in bits that the decoding of JPEG may make: ten times what rounding makes; channels
+# swapped or another range of values make far more.
 JPEG_DIVERGENCE_MAX = 1e-3
 METRICS = ("paper", "attention-js", "log-energy-js")
 
