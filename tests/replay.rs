@@ -17,18 +17,6 @@ fn journal(path: &Path) -> Vec<Value> {
         .collect()
 }
 
-/// Changes of state with their times.
-fn changes(journal: &[Value]) -> Vec<(f64, String)> {
-    let mut changes: Vec<(f64, String)> = Vec::new();
-    for line in journal {
-        let state = line["state"].as_str().unwrap();
-        if changes.last().is_none_or(|(_, last)| last != state) {
-            changes.push((line["t_s"].as_f64().unwrap(), state.to_owned()));
-        }
-    }
-    changes
-}
-
 /// The replay's words, without the time it took.
 fn without_duration(out: &str) -> String {
     let cut = |line: &str| match (line.find(" of drive in "), line.find(" s: ")) {
@@ -49,32 +37,23 @@ fn the_built_in_drive_is_ok_then_a_gap_within_3_s_of_the_shift_then_ok_again() {
     assert_expected("replay.txt", &without_duration(&out));
     let journal = journal(&folder.path().join("j.jsonl"));
     assert_eq!(journal.len(), 600);
-    let at = |t: f64| {
-        journal[(t * 10.0).round() as usize]["state"]
-            .as_str()
-            .unwrap()
-    };
-    for tenth in 20..180 {
-        assert_eq!(
-            at(f64::from(tenth) / 10.0),
-            "Ok",
-            "nominal part, {tenth} tenths"
-        );
-    }
-    assert_eq!(
-        at(23.0),
-        "Gap",
-        "3 s after the fog has reached its severity"
-    );
-    for tenth in 230..380 {
-        assert_eq!(at(f64::from(tenth) / 10.0), "Gap", "fog, {tenth} tenths");
-    }
-    for tenth in 430..600 {
-        assert_eq!(
-            at(f64::from(tenth) / 10.0),
-            "Ok",
-            "nominal again, {tenth} tenths"
-        );
+    let state = |tenth: usize| journal[tenth]["state"].as_str().unwrap();
+    for (part, tenths, wanted) in [
+        ("nominal", 20..180, "Ok"),
+        (
+            "fog, from 3 s after it has reached its severity",
+            230..380,
+            "Gap",
+        ),
+        ("nominal again, from 3 s after it has gone", 430..600, "Ok"),
+    ] {
+        for tenth in tenths {
+            assert_eq!(
+                state(tenth),
+                wanted,
+                "{part}: at {tenth} tenths of a second"
+            );
+        }
     }
     let log = fs::read_to_string(folder.path().join("can.log")).unwrap();
     assert!(log.lines().filter(|line| line.contains(" 5D0#")).count() >= 600);

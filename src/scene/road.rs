@@ -60,7 +60,7 @@ impl Road {
     pub fn pose(&self, t_s: f64) -> Pose {
         let v = f64::from(self.speed_mps);
         // Speed breathes by 8 % with a period of about 50 s; its integral keeps access random.
-        let phase = f64::from(self.draws.range("speed phase", 0.0, 6.28));
+        let phase = f64::from(self.draws.range("speed phase", 0.0, std::f32::consts::TAU));
         let omega = 0.125;
         let s_m = 1_000.0 + v * (t_s + 0.08 / omega * libm::sin(omega * t_s + phase));
         let sway = |t: f64| {
