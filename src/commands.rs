@@ -9,8 +9,11 @@ mod scene;
 use std::io::Write;
 
 use gapwatch::encoder::Encoder;
+use gapwatch::frame::open;
 use gapwatch::model::ModelSpec;
 use gapwatch::reference::ModelFingerprint;
+use gapwatch::survey::{Survey, SurveyError};
+use rayon::prelude::*;
 
 use crate::args::{Command, ModelArgs};
 
@@ -41,5 +44,24 @@ impl Model {
             encoder,
             fingerprint,
         })
+    }
+
+    /// Looks at whole sources, several at a time; a source that cannot be opened fails before any is looked at.
+    fn survey(&self, sources: &[String], what: &str) -> anyhow::Result<Vec<Survey>> {
+        let counts = sources
+            .iter()
+            .map(|name| Ok(open(name)?.frame_count()))
+            .collect::<anyhow::Result<Vec<_>>>()?;
+        let bar = progress::frames(counts.into_iter().sum(), what);
+        let surveys = sources
+            .par_iter()
+            .map(|name| {
+                Survey::of(name, &self.encoder, &self.spec.preprocessing, &|| {
+                    bar.inc(1)
+                })
+            })
+            .collect::<Result<Vec<_>, SurveyError>>()?;
+        bar.finish_and_clear();
+        Ok(surveys)
     }
 }

@@ -58,11 +58,15 @@ pub struct Detector {
 impl Detector {
     /// A detector that has seen nothing.
     pub fn new(reference: &Reference) -> Self {
-        let bins: usize = reference.taps.iter().map(|tap| tap.binning.bins()).sum();
+        Self::of(reference.metric, reference.taps.clone(), reference.window_s)
+    }
+
+    fn of(metric: Metric, taps: Vec<TapReference>, window_s: f64) -> Self {
+        let bins: usize = taps.iter().map(|tap| tap.binning.bins()).sum();
         Self {
-            metric: reference.metric,
-            taps: reference.taps.clone(),
-            span: Duration::from_secs_f64(reference.window_s),
+            metric,
+            taps,
+            span: Duration::from_secs_f64(window_s),
             times: Deque::new(),
             ring: vec![0; bins * WINDOW_FRAMES_MAX],
             next_slot: 0,
@@ -154,5 +158,104 @@ impl Detector {
         self.times.clear();
         self.sums.fill(0);
         self.began = None;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(
+        clippy::unwrap_used,
+        clippy::float_cmp,
+        clippy::cast_possible_truncation
+    )]
+    use super::*;
+    use crate::histogram::Binning;
+    use crate::reference::ScalePoint;
+
+    /// A detector of one tap with four bins, nominal (1, 1, 1, 1), median 0.1 and threshold 0.3 for any window.
+    fn detector(window_s: f64) -> Detector {
+        let tap = TapReference {
+            tap: "e2".into(),
+            median_peak_energy: 1.0,
+            binning: Binning::LogEnergy {
+                epsilon: 1e-6,
+                edges: vec![0.0, 1.0, 2.0],
+            },
+            images: 1,
+            counts: vec![1; 4],
+            scale: vec![ScalePoint {
+                frames: 1,
+                windows: 9,
+                median: 0.1,
+                threshold: 0.3,
+            }],
+        };
+        Detector::of(Metric::LogEnergyJs, vec![tap], window_s)
+    }
+
+    fn at(ms: u64) -> Duration {
+        Duration::from_millis(ms)
+    }
+
+    #[test]
+    fn the_score_is_0_at_the_median_and_1_at_the_threshold() {
+        let seen = detector(1.0).observe(at(0), &[5, 5, 5, 5]).unwrap();
+        assert!((seen.score - (0.0 - 0.1) / (0.3 - 0.1)).abs() < 1e-12);
+        let apart = detector(1.0).observe(at(0), &[9, 0, 0, 0]).unwrap();
+        assert!(
+            (apart.score - (apart.blocks[0].gap - 0.1) / 0.2).abs() < 1e-12 && apart.score > 1.0
+        );
+    }
+
+    #[test]
+    fn the_window_is_the_sum_of_the_frames_in_its_span_at_any_rate() {
+        for (step_ms, wanted) in [
+            (1_000, 1),
+            (500, 2),
+            (100, 10),
+            (33, 31),
+            (10, WINDOW_FRAMES_MAX),
+        ] {
+            let mut detector = detector(1.0);
+            for i in 0..200_u64 {
+                let counts = [i as u32, 1, 0, 2 * i as u32];
+                let seen = detector.observe(at(i * step_ms), &counts).unwrap();
+                assert_eq!(
+                    seen.frames,
+                    wanted.min(i as usize + 1),
+                    "every {step_ms} ms"
+                );
+                let in_window = (i + 1 - seen.frames as u64)..=i;
+                let first: u64 = in_window.clone().sum();
+                assert_eq!(detector.sums, [first, seen.frames as u64, 0, 2 * first]);
+            }
+        }
+    }
+
+    #[test]
+    fn a_hole_in_time_or_a_step_back_starts_the_window_anew() {
+        let mut detector = detector(1.0);
+        let frames = |detector: &mut Detector, ms| {
+            let seen = detector.observe(at(ms), &[1, 2, 3, 4]).unwrap();
+            (seen.frames, seen.fill)
+        };
+        assert_eq!(frames(&mut detector, 0), (1, 0.0));
+        assert_eq!(frames(&mut detector, 500), (2, 0.5));
+        assert_eq!(frames(&mut detector, 1_200), (2, 1.0));
+        assert_eq!(
+            frames(&mut detector, 3_300),
+            (1, 0.0),
+            "a hole of more than two windows"
+        );
+        assert_eq!(frames(&mut detector, 3_400), (2, 0.1));
+        assert_eq!(frames(&mut detector, 100), (1, 0.0), "time that goes back");
+    }
+
+    #[test]
+    fn empty_histograms_have_no_score() {
+        assert_eq!(
+            detector(1.0).observe(at(0), &[0; 4]),
+            Err(Undefined::EmptyHistogram)
+        );
     }
 }

@@ -6,11 +6,11 @@ use crate::alarm::{Alarm, AlarmState, Judgement, Reason};
 use crate::attention::{EnergyMap, Upsampler};
 use crate::detector::{BlockScore, Detector};
 use crate::encoder::{Encoder, EncoderError};
+use crate::energies::EnergyStage;
 use crate::frame::Frame;
 use crate::histogram::Binning;
 use crate::model::TAPS_MAX;
 use crate::reference::Reference;
-use crate::survey::EnergyStage;
 use crate::undefined::Undefined;
 
 /// Watches one camera against one reference.

@@ -4,8 +4,9 @@
 //! float images), scale to 0..1, normalise. No 8-bit rounding lies between the picture and the encoder. How a picture is
 //! resized moves every statistic taken from it, so the kernel is part of a reference's fingerprint.
 
-use fast_image_resize::images::{Image, ImageRef};
-use fast_image_resize::{FilterType, PixelType, ResizeAlg, ResizeOptions, Resizer};
+use fast_image_resize::images::{TypedImage, TypedImageRef};
+use fast_image_resize::pixels::F32x3;
+use fast_image_resize::{FilterType, ResizeAlg, ResizeOptions, Resizer};
 use serde::{Deserialize, Serialize};
 
 use crate::frame::Picture;
@@ -59,8 +60,8 @@ pub const CROP_NOTHING: [f64; 4] = [0.0, 0.0, 1.0, 1.0];
 pub struct Preprocessor {
     of: Preprocessing,
     resizer: Resizer,
-    wide: Vec<u8>,
-    small: Image<'static>,
+    wide: Vec<F32x3>,
+    small: TypedImage<'static, F32x3>,
     input: Vec<f32>,
 }
 
@@ -71,7 +72,7 @@ impl Preprocessor {
             of: of.clone(),
             resizer: Resizer::new(),
             wide: Vec::new(),
-            small: Image::new(of.width, of.height, PixelType::F32x3),
+            small: TypedImage::new(of.width, of.height),
             input: vec![0.0; 3 * of.width as usize * of.height as usize],
         }
     }
@@ -82,13 +83,12 @@ impl Preprocessor {
     /// `TooSmall`, `Black` or `Uniform` when the picture holds nothing to look at.
     pub fn input(&mut self, picture: &Picture) -> Result<&[f32], Undefined> {
         check(picture)?;
-        // Bytes in native order: the resizer reads them as 32-bit floats.
         self.wide.clear();
         self.wide.extend(
             picture
                 .rgb
-                .iter()
-                .flat_map(|&value| f32::from(value).to_ne_bytes()),
+                .chunks_exact(3)
+                .map(|rgb| F32x3::new([rgb[0], rgb[1], rgb[2]].map(f32::from))),
         );
         let [left, top, width, height] = self.of.crop;
         let (full_width, full_height) = (f64::from(picture.width), f64::from(picture.height));
@@ -101,19 +101,21 @@ impl Preprocessor {
                 height * full_height,
             )
             .use_alpha(false);
-        ImageRef::new(picture.width, picture.height, &self.wide, PixelType::F32x3)
+        // Only this pixel type is named, so only its kernels are compiled.
+        TypedImageRef::new(picture.width, picture.height, &self.wide)
             .ok()
-            .and_then(|wide| self.resizer.resize(&wide, &mut self.small, &options).ok())
+            .and_then(|wide| {
+                self.resizer
+                    .resize_typed(&wide, &mut self.small, &options)
+                    .ok()
+            })
             .ok_or(Undefined::TooSmall {
                 width: picture.width,
                 height: picture.height,
             })?;
         let plane = self.of.width as usize * self.of.height as usize;
-        for (index, pixel) in self.small.buffer().chunks_exact(12).enumerate() {
-            for channel in 0..3 {
-                let at = 4 * channel;
-                let value =
-                    f32::from_ne_bytes([pixel[at], pixel[at + 1], pixel[at + 2], pixel[at + 3]]);
+        for (index, pixel) in self.small.pixels().iter().enumerate() {
+            for (channel, value) in pixel.0.into_iter().enumerate() {
                 self.input[channel * plane + index] =
                     (value / 255.0 - self.of.mean[channel]) / self.of.std[channel];
             }

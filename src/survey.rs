@@ -2,58 +2,12 @@
 
 use std::time::Duration;
 
-use crate::attention::{EnergyMap, Upsampler, common_size, energy_from_features};
-use crate::encoder::{Encoder, EncoderError, EncoderSession};
-use crate::frame::{Frame, Picture, SourceError, open};
-use crate::preprocess::{Preprocessing, Preprocessor};
+use crate::attention::{EnergyMap, Upsampler};
+use crate::encoder::{Encoder, EncoderError};
+use crate::energies::EnergyStage;
+use crate::frame::{SourceError, open};
+use crate::preprocess::Preprocessing;
 use crate::undefined::Undefined;
-
-/// Picture → encoder input → feature maps → energy maps of the common size, for one thread. Keeps its buffers.
-pub struct EnergyStage {
-    preprocessor: Preprocessor,
-    session: EncoderSession,
-    taps: Vec<String>,
-    common: (usize, usize),
-    maps: Vec<EnergyMap>,
-}
-
-impl EnergyStage {
-    /// For one encoder and the way it is fed.
-    ///
-    /// # Errors
-    /// When the encoder's state cannot be set up.
-    pub fn new(encoder: &Encoder, preprocessing: &Preprocessing) -> Result<Self, EncoderError> {
-        Ok(Self {
-            preprocessor: Preprocessor::new(preprocessing),
-            session: encoder.session()?,
-            taps: encoder.taps().to_vec(),
-            common: common_size(preprocessing.width, preprocessing.height),
-            maps: vec![EnergyMap::default(); encoder.taps().len()],
-        })
-    }
-
-    /// The size of all maps after resampling, width and height.
-    pub fn common_size(&self) -> (usize, usize) {
-        self.common
-    }
-
-    /// Energy maps of a frame, one a tap, each of its block's own size.
-    ///
-    /// # Errors
-    /// Why this frame cannot be judged.
-    pub fn energies(&mut self, frame: &Frame) -> Result<&[EnergyMap], Undefined> {
-        let picture: &Picture = frame
-            .picture
-            .as_ref()
-            .map_err(|error| Undefined::Corrupt(error.to_string()))?;
-        let input = self.preprocessor.input(picture)?;
-        let features = self.session.run(input).map_err(Undefined::Encoder)?;
-        for ((tap, features), map) in self.taps.iter().zip(&features).zip(&mut self.maps) {
-            energy_from_features(tap, features, map)?;
-        }
-        Ok(&self.maps)
-    }
-}
 
 /// A source seen through the encoder.
 #[derive(Debug)]

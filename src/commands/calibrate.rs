@@ -4,12 +4,10 @@ use std::io::Write;
 
 use anyhow::Context;
 use gapwatch::calibration::{THRESHOLD_MARGIN, calibrate};
-use gapwatch::frame::{drives, open};
+use gapwatch::frame::drives;
 use gapwatch::reference::{Provenance, Reference};
-use gapwatch::survey::{Survey, SurveyError};
-use rayon::prelude::*;
 
-use super::{Model, progress};
+use super::Model;
 use crate::args::CalibrateArgs;
 
 pub fn run(args: &CalibrateArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
@@ -20,20 +18,7 @@ pub fn run(args: &CalibrateArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
         .map(|name| drives(name))
         .collect::<Result<Vec<_>, _>>()?
         .concat();
-    let counts = sources
-        .iter()
-        .map(|name| Ok(open(name)?.frame_count()))
-        .collect::<anyhow::Result<Vec<_>>>()?;
-    let bar = progress::frames(counts.into_iter().sum(), "calibrating");
-    let surveys = sources
-        .par_iter()
-        .map(|name| {
-            Survey::of(name, &model.encoder, &model.spec.preprocessing, &|| {
-                bar.inc(1)
-            })
-        })
-        .collect::<Result<Vec<_>, SurveyError>>()?;
-    bar.finish_and_clear();
+    let surveys = model.survey(&sources, "calibrating")?;
     let (taps, sources) = calibrate(&surveys, &model.spec.taps, args.metric)?;
     let provenance = Provenance {
         gapwatch: env!("CARGO_PKG_VERSION").to_owned(),

@@ -7,7 +7,7 @@ pub fn frames(count: Option<u64>, what: &str) -> ProgressBar {
     let (bar, template) = match count {
         Some(count) => (
             ProgressBar::new(count),
-            "{msg} {wide_bar} {pos}/{len} frames, {eta} left",
+            "{msg} {bar:30} {pos}/{len} frames, {eta} left",
         ),
         None => (
             ProgressBar::no_length(),
