@@ -28,8 +28,8 @@ const DOWN_S: f64 = 2.0;
 const STALE: Duration = Duration::from_millis(500);
 /// Longest stay in `Suspect`.
 const SUSPECT_MAX: Duration = Duration::from_secs(3);
-/// Longest time that one frame moves the counter: evidence does not reach across a hole.
-const STEP_MAX: Duration = Duration::from_secs(1);
+/// Longest time that one frame moves the counter: evidence does not reach across a hole, and one frame is no gap.
+const STEP_MAX: Duration = Duration::from_millis(500);
 
 const COUNTER_MAX: f64 = 127.0;
 const COUNTER_MIN: f64 = -128.0;
@@ -82,6 +82,8 @@ pub enum Reason {
     TooSmall,
     /// The picture cannot be read.
     Corrupt,
+    /// No frame came for too long.
+    Stale,
     /// The frame has no gap: undefined activations or histograms.
     Undefined,
 }
@@ -97,6 +99,7 @@ impl Reason {
             Self::Uniform => "uniform",
             Self::TooSmall => "too-small",
             Self::Corrupt => "corrupt",
+            Self::Stale => "stale",
             Self::Undefined => "undefined",
         }
     }
@@ -142,7 +145,10 @@ pub struct Alarm {
     in_gap: bool,
     gap_stored: bool,
     settled: bool,
+    last_frame: Option<Duration>,
     last_judged: Option<Duration>,
+    /// The frame before could be judged, so the time since then counts.
+    sighted: bool,
     suspect_since: Option<Duration>,
 }
 
@@ -155,7 +161,9 @@ impl Default for Alarm {
             in_gap: false,
             gap_stored: false,
             settled: false,
+            last_frame: None,
             last_judged: None,
+            sighted: false,
             suspect_since: None,
         }
     }
@@ -183,8 +191,11 @@ impl Alarm {
         self.gap_stored
     }
 
-    /// Takes a frame's judgement at time `now`, which never goes back.
+    /// Takes a frame's judgement at time `now`, which never goes back, or that there was no frame (`Stale`).
     pub fn step(&mut self, now: Duration, judgement: Judgement) {
+        if judgement != Judgement::Cannot(Reason::Stale) {
+            self.last_frame = Some(now);
+        }
         match judgement {
             Judgement::Score { score, settled } => self.judged(now, score >= 1.0, settled),
             Judgement::Cannot(reason) => self.not_judged(now, reason),
@@ -192,11 +203,12 @@ impl Alarm {
     }
 
     fn judged(&mut self, now: Duration, evidence: bool, settled: bool) {
-        let since = self
-            .last_judged
-            .map_or(Duration::ZERO, |last| now.saturating_sub(last))
-            .min(STEP_MAX);
+        let since = match self.last_judged {
+            Some(last) if self.sighted => now.saturating_sub(last).min(STEP_MAX),
+            _ => Duration::ZERO,
+        };
         self.last_judged = Some(now);
+        self.sighted = true;
         self.settled |= settled;
         if !self.settled {
             (self.state, self.reason) = (AlarmState::Init, Reason::Starting);
@@ -225,7 +237,13 @@ impl Alarm {
         };
     }
 
+    /// When the silence after the last frame becomes too long; `None` before the first frame.
+    pub fn stale_at(&self) -> Option<Duration> {
+        self.last_frame.map(|last| last + STALE)
+    }
+
     fn not_judged(&mut self, now: Duration, reason: Reason) {
+        self.sighted = false;
         let since = *self.last_judged.get_or_insert(now);
         if now.saturating_sub(since) < STALE {
             return;
@@ -416,6 +434,44 @@ mod tests {
             ),
             (AlarmState::Ok, true)
         );
+    }
+
+    #[test]
+    fn one_frame_of_evidence_is_no_gap_after_a_blind_moment_or_at_a_slow_rate() {
+        let judged = |score| Judgement::Score {
+            score,
+            settled: true,
+        };
+        for (step_ms, blind) in [(100, true), (1_000, false), (2_000, false)] {
+            let mut alarm = Alarm::default();
+            let mut now = Duration::ZERO;
+            let mut step = |judgement| {
+                alarm.step(now, judgement);
+                now += Duration::from_millis(step_ms);
+                alarm.state()
+            };
+            for _ in 0..20 {
+                step(judged(0.0));
+            }
+            if blind {
+                for _ in 0..30 {
+                    step(Judgement::Cannot(Reason::Black));
+                }
+            }
+            assert_ne!(
+                step(judged(9.0)),
+                AlarmState::Gap,
+                "every {step_ms} ms, blind before: {blind}"
+            );
+            assert_eq!(
+                step(judged(0.0)),
+                if blind {
+                    AlarmState::Ok
+                } else {
+                    AlarmState::Suspect
+                }
+            );
+        }
     }
 
     #[test]

@@ -7,6 +7,7 @@ use gapwatch::calibration::{PaperBinning, Temperature};
 use gapwatch::can::Sink;
 use gapwatch::gap::Metric;
 use gapwatch::model::ModelOptions;
+use gapwatch::reference::{WINDOW_S_MAX, WINDOW_S_MIN};
 use gapwatch::scene::Condition;
 
 /// Watches the road through a lane model's own encoder and warns on CAN when it has left the domain the model knows.
@@ -184,8 +185,9 @@ fn numbers<T: std::str::FromStr, const N: usize>(text: &str) -> Result<[T; N], S
 }
 
 fn seconds(text: &str) -> Result<f64, String> {
-    let seconds = text.parse().ok().filter(|s| (0.05..=60.0).contains(s));
-    seconds.ok_or_else(|| "wanted seconds from 0.05 to 60".to_owned())
+    let range = WINDOW_S_MIN..=WINDOW_S_MAX;
+    let seconds = text.parse().ok().filter(|s| range.contains(s));
+    seconds.ok_or_else(|| format!("wanted seconds from {WINDOW_S_MIN} to {WINDOW_S_MAX}"))
 }
 
 fn metrics(text: &str) -> Result<Metrics, String> {
@@ -226,7 +228,7 @@ pub struct SceneArgs {
     #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     pub count: u32,
     /// Seed of the set
-    #[arg(long, value_name = "S", default_value_t = 1)]
+    #[arg(long, value_name = "S", default_value_t = 1, value_parser = clap::value_parser!(u32).range(..i64::from(u32::MAX)))]
     pub seed: u32,
     /// Condition over all scenes, KIND:SEVERITY; may be repeated
     #[arg(long, value_name = "KIND:SEVERITY")]

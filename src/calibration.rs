@@ -3,7 +3,7 @@
 use crate::attention::EnergyMap;
 use crate::gap::{Metric, PAPER_FIRST_LEVEL, PAPER_LEVELS, PAPER_TEMPERATURE};
 use crate::histogram::{Binning, HistogramSum};
-use crate::reference::{ScalePoint, SourceUse, TapReference};
+use crate::reference::{SPREAD_MIN, ScalePoint, SourceUse, TapReference};
 use crate::survey::Survey;
 use crate::undefined::Undefined;
 
@@ -312,7 +312,7 @@ fn scale_point(
         return Ok(None);
     };
     // A metric that cannot tell windows apart still gets a threshold above its median.
-    let threshold = (median + THRESHOLD_MARGIN * (worst - median)).max(median + 1e-9);
+    let threshold = (median + THRESHOLD_MARGIN * (worst - median)).max(median + SPREAD_MIN);
     Ok(Some(ScalePoint {
         frames,
         windows,

@@ -8,6 +8,7 @@ mod scene;
 
 use std::io::Write;
 
+use anyhow::bail;
 use gapwatch::encoder::Encoder;
 use gapwatch::frame::open;
 use gapwatch::model::ModelSpec;
@@ -26,6 +27,9 @@ pub fn run(command: Command, out: &mut dyn Write) -> anyhow::Result<u8> {
         Command::Scene(args) => scene::run(&args, out),
     }
 }
+
+/// Most frames that are looked at in one go: their energy maps stay in memory, about 20 KB a frame of the built-in model.
+const FRAMES_MAX: u64 = 100_000;
 
 /// A loaded model with all that belongs to it.
 struct Model {
@@ -52,7 +56,13 @@ impl Model {
             .iter()
             .map(|name| Ok(open(name)?.frame_count()))
             .collect::<anyhow::Result<Vec<_>>>()?;
-        let bar = progress::frames(counts.into_iter().sum(), what);
+        let count: Option<u64> = counts.into_iter().sum();
+        if let Some(count) = count.filter(|&count| count > FRAMES_MAX) {
+            bail!(
+                "{count} frames in all; wanted at most {FRAMES_MAX}: take fewer or shorter drives, or a lower fps"
+            );
+        }
+        let bar = progress::frames(count, what);
         let surveys = sources
             .par_iter()
             .map(|name| {

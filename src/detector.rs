@@ -123,6 +123,9 @@ impl Detector {
             let compared = self.metric.compare(live, &tap.counts)?;
             let (median, threshold) = tap.scale_for(frames);
             let score = (compared.gap - median) / (threshold - median);
+            if !score.is_finite() {
+                return Err(Undefined::NoScore);
+            }
             // A reference has at most as many taps as a model.
             let _ = blocks.push(BlockScore {
                 gap: compared.gap,

@@ -3,13 +3,18 @@
 //! Any ONNX encoder with one picture input `[1, 3, H, W]` will do. The taps are asked for by name, and whatever does not
 //! lead to them (a lane head) is dropped before the graph is optimised.
 
+use std::cell::Cell;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 
 use sha2::{Digest, Sha256};
 use tract_onnx::prelude::*;
-use tract_onnx::tract_hir::infer::{Factoid, GenericFactoid, ShapeFactoid};
+use tract_onnx::tract_hir::infer::{Factoid, GenericFactoid, InferenceModelExt, ShapeFactoid};
 
 use crate::model::ModelSpec;
+
+/// Most elements of one value inside a model: half a GiB of 32-bit floats, eight times the largest input.
+const VOLUME_MAX: u64 = 1 << 27;
 
 /// A model that cannot be used.
 #[derive(Debug, thiserror::Error)]
@@ -83,6 +88,15 @@ impl Encoder {
     /// # Errors
     /// When the file is no ONNX model, a tap is unknown, or shapes do not fit.
     pub fn load(spec: &ModelSpec) -> Result<Self, EncoderError> {
+        contained(|| Self::load_trusting(spec)).unwrap_or_else(|why| {
+            Err(EncoderError::Onnx {
+                model: spec.name.clone(),
+                why,
+            })
+        })
+    }
+
+    fn load_trusting(spec: &ModelSpec) -> Result<Self, EncoderError> {
         let broken = |why: &dyn std::fmt::Display| EncoderError::Onnx {
             model: spec.name.clone(),
             why: why.to_string(),
@@ -130,10 +144,14 @@ impl Encoder {
             width,
         };
         let [input] = model.inputs[..] else {
-            return Err(wrong_input(
-                "count",
-                format!("{} inputs", model.inputs.len()),
-            ));
+            let names: Vec<&str> = model
+                .inputs
+                .iter()
+                .map(|input| &*model.node(input.node).name)
+                .collect();
+            return Err(broken(&format!(
+                "its inputs are {names:?}; wanted one, a picture"
+            )));
         };
         let name = model.node(input.node).name.clone();
         let declared = model
@@ -150,6 +168,12 @@ impl Encoder {
         model
             .select_output_outlets(&outlets)
             .map_err(|e| broken(&root(&e)))?;
+        model.analyse(false).map_err(|e| broken(&root(&e)))?;
+        if let Some((node, volume)) = largest(&model).filter(|&(_, volume)| volume > VOLUME_MAX) {
+            return Err(broken(&format!(
+                "its value {node} has {volume} elements, more than {VOLUME_MAX}"
+            )));
+        }
         let plan = model
             .into_optimized()
             .and_then(|m| m.into_runnable())
@@ -235,7 +259,7 @@ impl EncoderSession {
     /// The reason in words when tract fails.
     pub fn run(&mut self, input: &[f32]) -> Result<Vec<FeatureMap<'_>>, String> {
         let input = Tensor::from_shape(&self.input_shape, input).map_err(|e| root(&e))?;
-        self.outputs = self.state.run(tvec!(input.into())).map_err(|e| root(&e))?;
+        self.outputs = contained(|| self.state.run(tvec!(input.into())))?.map_err(|e| root(&e))?;
         self.outputs
             .iter()
             .map(|output| {
@@ -253,6 +277,47 @@ impl EncoderSession {
             })
             .collect()
     }
+}
+
+thread_local! {
+    static IN_TRACT: Cell<bool> = const { Cell::new(false) };
+}
+
+/// Whether this thread is inside tract, where a panic is caught and becomes an error: a panic hook may stay silent.
+pub fn in_tract() -> bool {
+    IN_TRACT.get()
+}
+
+/// Runs tract's code, which panics on some malformed models, and turns a panic into an error.
+fn contained<T>(work: impl FnOnce() -> T) -> Result<T, String> {
+    IN_TRACT.set(true);
+    let outcome = catch_unwind(AssertUnwindSafe(work));
+    IN_TRACT.set(false);
+    outcome.map_err(|panic| {
+        let said = panic.downcast_ref::<String>().map(String::as_str);
+        let said = said
+            .or_else(|| panic.downcast_ref::<&str>().copied())
+            .unwrap_or_default();
+        format!(
+            "the inference engine gave up on it ({})",
+            said.lines().next().unwrap_or_default()
+        )
+    })
+}
+
+/// The value with the most elements among those whose shape is known.
+fn largest(model: &InferenceModel) -> Option<(String, u64)> {
+    let volume = |fact: &InferenceFact| {
+        let dims = fact.shape.concretize()?;
+        dims.iter().try_fold(1_u64, |volume, dim| {
+            Some(volume.saturating_mul(u64::try_from(dim.to_i64().ok()?).ok()?))
+        })
+    };
+    let nodes = model.nodes().iter();
+    nodes
+        .flat_map(|node| node.outputs.iter().map(move |output| (node, output)))
+        .filter_map(|(node, output)| Some((node.name.clone(), volume(&output.fact)?)))
+        .max_by_key(|&(_, volume)| volume)
 }
 
 /// Whether an input declared so takes pictures of this shape: what the file leaves open or gives a name is free.

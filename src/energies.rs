@@ -6,7 +6,7 @@ use crate::frame::{Frame, Picture};
 use crate::preprocess::{Preprocessing, Preprocessor};
 use crate::undefined::Undefined;
 
-/// Picture → encoder input → feature maps → energy maps of the common size, for one thread. Keeps its buffers.
+/// Picture → encoder input → feature maps → energy maps, for one thread. Keeps its buffers.
 pub struct EnergyStage {
     preprocessor: Preprocessor,
     session: EncoderSession,

@@ -16,6 +16,9 @@ use crate::scene::{DriveSpec, SpecError};
 /// Frames a second of a folder of images, unless its name says otherwise.
 pub const FOLDER_FPS: f64 = 10.0;
 
+/// Most pixels of a picture that is decoded; a larger one is refused before it costs memory. 8K video has 33 million.
+const PIXELS_MAX: u64 = 34_000_000;
+
 /// The built-in drive: nominal for 20 s, fog of 60 m visibility to 40 s, nominal again to 60 s.
 pub const BUILT_IN_DRIVE: &str = "scene:sim?seed=7&seconds=60&fps=10&condition=fog:4@20-40";
 
@@ -127,6 +130,13 @@ pub fn open(name: &str) -> Result<Box<dyn FrameSource>, SourceError> {
     }
     if !path.exists() {
         return Err(SourceError::Missing(path.to_owned()));
+    }
+    if fps.is_some() {
+        return Err(SourceError::Name {
+            found: name.to_owned(),
+            wanted: "?fps= is for folders of images; a video has its own rate, one image has none"
+                .to_owned(),
+        });
     }
     if images::is_image(path) {
         return Ok(Box::new(images::ImageSource::single(path)));

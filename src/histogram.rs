@@ -156,6 +156,9 @@ impl ScaledAttention {
 
     /// An energy safely below every pixel whose scaled attention reaches `share`.
     fn energy_below(&self, share: f64) -> f64 {
+        if share <= 0.0 {
+            return f64::NEG_INFINITY;
+        }
         let least = self.high + self.temperature * (share * self.span + self.coldest).ln();
         least - 1e-6 * (self.high - least).abs() - 1e-9 * self.temperature
     }

@@ -29,7 +29,7 @@ pub struct Journal {
 #[derive(Serialize)]
 struct Line<'a> {
     t_s: f64,
-    seq: u64,
+    seq: Option<u64>,
     state: &'static str,
     reason: &'static str,
     score: Option<f64>,

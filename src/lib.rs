@@ -18,24 +18,38 @@
 //! [`pipeline::Monitor::step`] is that chain. What cannot be judged is [`undefined::Undefined`], never a number, and the
 //! car is told `Unavailable` or `SensorFault`, never `Ok`.
 
-pub mod alarm;
-pub mod attention;
-pub mod calibration;
-pub mod can;
-pub mod comparison;
-pub mod detector;
-pub mod encoder;
-pub mod energies;
+// In the order in which a frame passes them; rustfmt sorts within a group.
 pub mod frame;
-pub mod gap;
-pub mod health;
-pub mod histogram;
-pub mod journal;
-pub mod model;
-pub mod pipeline;
-pub mod preprocess;
-pub mod reference;
 pub mod scene;
+
+pub mod model;
+pub mod preprocess;
+
+pub mod encoder;
+
+pub mod attention;
+pub mod energies;
+
+pub mod histogram;
+
+pub mod gap;
+pub mod reference;
+
+pub mod detector;
+
+pub mod alarm;
+pub mod health;
+
+pub mod can;
+pub mod pipeline;
+
+// Whole sources at once.
 pub mod survey;
+
+pub mod calibration;
+pub mod comparison;
+
+// What all of them use.
+pub mod journal;
 pub mod undefined;
 pub mod whole_file;

@@ -7,12 +7,18 @@ use std::io::Write;
 use std::process::ExitCode;
 
 use clap::Parser;
+use clap::error::ErrorKind;
 
 /// Exit code of a command that could not do its job.
 const COULD_NOT: u8 = 2;
 
 fn main() -> ExitCode {
     env_logger::Builder::from_env(env_logger::Env::default().default_filter_or("warn")).init();
+    std::panic::set_hook(Box::new(|panic| {
+        if !gapwatch::encoder::in_tract() {
+            complain(&format!("internal error, please report: {panic}"));
+        }
+    }));
     let cli = match args::Cli::try_parse() {
         Ok(cli) => cli,
         Err(error) => return refuse_or_help(&error),
@@ -20,8 +26,8 @@ fn main() -> ExitCode {
     let mut out = std::io::stdout().lock();
     match commands::run(cli.command, &mut out).and_then(|code| Ok(out.flush().map(|()| code)?)) {
         Ok(code) => ExitCode::from(code),
-        // The reader of our output has left, as `head` does: nothing is wrong.
-        Err(error) if is_broken_pipe(&error) => ExitCode::SUCCESS,
+        // The reader of our output has left, as `head` does: not our fault, but not our job done either.
+        Err(error) if is_broken_pipe(&error) => ExitCode::from(COULD_NOT),
         Err(error) => {
             complain(&format!("{error:#}"));
             ExitCode::from(COULD_NOT)
@@ -31,10 +37,11 @@ fn main() -> ExitCode {
 
 /// Help and version as clap writes them; a wrong command line in one line.
 fn refuse_or_help(error: &clap::Error) -> ExitCode {
-    if !error.use_stderr() {
+    let nothing_typed = error.kind() == ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand;
+    if !error.use_stderr() || nothing_typed {
         return match error.print() {
-            Ok(()) => ExitCode::SUCCESS,
-            Err(_) => ExitCode::from(COULD_NOT),
+            Ok(()) if !nothing_typed => ExitCode::SUCCESS,
+            _ => ExitCode::from(COULD_NOT),
         };
     }
     let text = error.render().to_string();

@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use crate::alarm::{Alarm, AlarmState, Judgement, Reason};
 use crate::attention::{EnergyMap, Upsampler};
-use crate::detector::{BlockScore, Detector};
+use crate::detector::{BlockScore, Detector, Evidence};
 use crate::encoder::{Encoder, EncoderError};
 use crate::energies::EnergyStage;
 use crate::frame::Frame;
@@ -29,8 +29,8 @@ pub struct Monitor {
 pub struct Verdict {
     /// Time of the frame.
     pub at: Duration,
-    /// Its number.
-    pub sequence: u64,
+    /// Its number; `None` for a verdict that no frame gave.
+    pub sequence: Option<u64>,
     /// What the car is told.
     pub state: AlarmState,
     /// Why.
@@ -88,13 +88,22 @@ impl Monitor {
                 Err(why) => Judgement::Cannot(Reason::from(why)),
             },
         );
+        self.verdict(now, Some(frame.sequence), evidence)
+    }
+
+    fn verdict(
+        &self,
+        at: Duration,
+        sequence: Option<u64>,
+        evidence: Result<Evidence, Undefined>,
+    ) -> Verdict {
         let (seen, undefined) = match evidence {
             Ok(seen) => (Some(seen), None),
             Err(why) => (None, Some(why)),
         };
         Verdict {
-            at: now,
-            sequence: frame.sequence,
+            at,
+            sequence,
             state: self.alarm.state(),
             reason: self.alarm.reason(),
             undefined,
@@ -104,6 +113,17 @@ impl Monitor {
             fault_detection_counter: self.alarm.fault_detection_counter(),
             gap_stored: self.alarm.gap_stored(),
         }
+    }
+
+    /// What is known at `now` when the frame before it came too long ago, at the moment that the silence became too long;
+    /// `None` while it has not.
+    pub fn silence(&mut self, now: Duration) -> Option<Verdict> {
+        let at = self
+            .alarm
+            .stale_at()
+            .filter(|&at| at < now && self.alarm.state() != AlarmState::Unavailable)?;
+        self.alarm.step(at, Judgement::Cannot(Reason::Stale));
+        Some(self.verdict(at, None, Err(Undefined::Silence)))
     }
 
     /// Fills `counts` with the histograms of one frame, tap after tap.

@@ -91,15 +91,16 @@ impl Preprocessor {
                 .map(|rgb| F32x3::new([rgb[0], rgb[1], rgb[2]].map(f32::from))),
         );
         let [left, top, width, height] = self.of.crop;
+        // Rounding must not push the crop over the picture's edge.
+        let within = |from: f64, length: f64, full: f64| {
+            (from * full, (length * full).min(full - from * full))
+        };
         let (full_width, full_height) = (f64::from(picture.width), f64::from(picture.height));
+        let (left_px, width_px) = within(left, width, full_width);
+        let (top_px, height_px) = within(top, height, full_height);
         let options = ResizeOptions::new()
             .resize_alg(ResizeAlg::Convolution(FilterType::Bilinear))
-            .crop(
-                left * full_width,
-                top * full_height,
-                width * full_width,
-                height * full_height,
-            )
+            .crop(left_px, top_px, width_px, height_px)
             .use_alpha(false);
         // Only this pixel type is named, so only its kernels are compiled.
         TypedImageRef::new(picture.width, picture.height, &self.wide)

@@ -19,6 +19,15 @@ use crate::whole_file::WholeFile;
 
 mod pretty;
 
+/// Shortest and longest window of the detector, seconds: it holds 32 frames, which at 10 frames a second is 3 s.
+pub const WINDOW_S_MIN: f64 = 0.05;
+/// See [`WINDOW_S_MIN`].
+pub const WINDOW_S_MAX: f64 = 3.0;
+/// Largest gap of any metric: that of a correlation of -1.
+const GAP_MAX: f64 = 2.0;
+/// Least distance of a threshold from its median.
+pub const SPREAD_MIN: f64 = 1e-9;
+
 const FORMAT: &str = "gapwatch-reference";
 const VERSION: u32 = 1;
 const BUILT_IN: &str = include_str!("../calibration/sim.json");
@@ -238,12 +247,16 @@ impl Reference {
                 self.model.taps
             ));
         }
-        if !(0.05..=60.0).contains(&self.window_s) {
-            return Some(format!("a window of {} s, not 0.05 to 60", self.window_s));
+        if !(WINDOW_S_MIN..=WINDOW_S_MAX).contains(&self.window_s) {
+            return Some(format!(
+                "a window of {} s, not {WINDOW_S_MIN} to {WINDOW_S_MAX}",
+                self.window_s
+            ));
         }
-        self.taps
-            .iter()
-            .find_map(|tap| tap.fault().map(|fault| format!("tap {}: {fault}", tap.tap)))
+        self.taps.iter().find_map(|tap| {
+            tap.fault(self.metric)
+                .map(|fault| format!("tap {}: {fault}", tap.tap))
+        })
     }
 
     /// Refuses a model that the reference was not made with.
@@ -299,9 +312,12 @@ impl Reference {
 }
 
 impl TapReference {
-    fn fault(&self) -> Option<String> {
+    fn fault(&self, metric: Metric) -> Option<String> {
         if let Some(fault) = self.binning.fault() {
             return Some(fault.to_owned());
+        }
+        if (metric == Metric::LogEnergyJs) != matches!(self.binning, Binning::LogEnergy { .. }) {
+            return Some(format!("bins of another kind than the metric {metric} has"));
         }
         if self.counts.len() != self.binning.bins() || self.images == 0 {
             return Some(format!(
@@ -330,10 +346,11 @@ impl TapReference {
             .windows(2)
             .all(|pair| pair[0].frames < pair[1].frames);
         let usable = |p: &ScalePoint| {
+            let in_range = |gap: f64| (-1e-9..=2.0 * GAP_MAX).contains(&gap);
             p.frames > 0
-                && p.median.is_finite()
-                && p.threshold.is_finite()
-                && p.median < p.threshold
+                && in_range(p.median)
+                && in_range(p.threshold)
+                && p.threshold - p.median >= 0.5 * SPREAD_MIN
         };
         if self.scale.is_empty() || !rising || !self.scale.iter().all(usable) {
             return Some(
@@ -429,14 +446,24 @@ mod tests {
             let said = Reference::parse("r.json", text).unwrap_err().to_string();
             assert!(said.contains(part) && said.contains("r.json"), "{said}");
         }
-        assert!(tap(&[]).fault().unwrap().contains("scale"));
-        assert!(tap(&[(1, 2.0, 1.0)]).fault().unwrap().contains("scale"));
+        assert!(
+            tap(&[])
+                .fault(Metric::LogEnergyJs)
+                .unwrap()
+                .contains("scale")
+        );
+        assert!(
+            tap(&[(1, 2.0, 1.0)])
+                .fault(Metric::LogEnergyJs)
+                .unwrap()
+                .contains("scale")
+        );
         assert!(
             TapReference {
                 counts: vec![0, 0],
                 ..tap(&[(1, 1.0, 2.0)])
             }
-            .fault()
+            .fault(Metric::LogEnergyJs)
             .unwrap()
             .contains("counts")
         );
@@ -445,10 +472,10 @@ mod tests {
                 counts: vec![u64::MAX, 1],
                 ..tap(&[(1, 1.0, 2.0)])
             }
-            .fault()
+            .fault(Metric::LogEnergyJs)
             .is_some()
         );
-        assert_eq!(tap(&[(1, 1.0, 2.0)]).fault(), None);
+        assert_eq!(tap(&[(1, 1.0, 2.0)]).fault(Metric::LogEnergyJs), None);
     }
 
     #[test]

@@ -75,7 +75,10 @@ impl Survey {
         })
     }
 
-    /// The maps of one tap at the common size, frame by frame; `None` where a frame has none.
+    /// The maps of one tap at the common size, frame by frame.
+    ///
+    /// # Errors
+    /// Item by item, why a frame has none.
     pub fn common_maps(
         &self,
         tap: usize,

@@ -43,6 +43,9 @@ pub enum Undefined {
     /// Correlation with a histogram whose bins are all equal.
     #[error("histogram is constant, so it correlates with nothing")]
     ConstantHistogram,
+    /// The reference's scale gives no number for this gap.
+    #[error("gap has no finite score on the reference's scale")]
+    NoScore,
     /// Too few images for the wanted statistic.
     #[error("too few images: {found}, wanted at least {wanted}")]
     TooFewImages {
@@ -51,6 +54,9 @@ pub enum Undefined {
         /// Images needed.
         wanted: usize,
     },
+    /// No frame came.
+    #[error("no frame for 500 ms")]
+    Silence,
     /// The encoder failed on this frame.
     #[error("encoder failed: {0}")]
     Encoder(String),

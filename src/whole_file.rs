@@ -36,7 +36,7 @@ impl WholeFile {
             Ok(_) => drop(OpenOptions::new().append(true).open(path)?),
             Err(_) => {}
         }
-        // A link stays a link: what it names is replaced.
+        // A link to a file stays a link: what it names is replaced.
         let place = path.canonicalize().unwrap_or_else(|_| path.to_owned());
         let folder = place
             .parent()

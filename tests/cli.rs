@@ -62,6 +62,21 @@ fn wrong_use_is_met_with_one_line_and_exit_code_2_and_leaves_nothing_behind() {
         (vec!["replay", "--mean", "0,0"], "3 numbers"),
         (vec!["replay", "--taps", "e2,e9,e4"], "e9"),
         (vec!["replay", "--size", "640x320"], "enet-sad-lite"),
+        (
+            vec![
+                "replay",
+                "scene:sim",
+                "--can",
+                "log:same",
+                "--journal",
+                "./same",
+            ],
+            "two files",
+        ),
+        (
+            vec!["replay", "--crop", "0.5,0,0.6,1"],
+            "inside the picture",
+        ),
         (vec!["compare", "random:"], "2"),
         (vec!["compare", "random:", "random:frames=x"], "frames=x"),
         (
@@ -104,6 +119,28 @@ fn wrong_use_is_met_with_one_line_and_exit_code_2_and_leaves_nothing_behind() {
             ],
             "seed=A..B",
         ),
+        (
+            vec![
+                "calibrate",
+                "--sim",
+                "scene:sim",
+                "--window",
+                "9",
+                "--out",
+                "r.json",
+            ],
+            "0.05 to 3",
+        ),
+        (
+            vec![
+                "calibrate",
+                "--sim",
+                "scene:sim?seconds=86400&fps=240",
+                "--out",
+                "r.json",
+            ],
+            "at most 100000",
+        ),
         (vec!["calibrate", "--out", "r.json"], "--sim"),
         (vec!["scene", "--out", "no/such/folder"], "no/such"),
         (vec!["scene", "--out", "s", "--size", "32"], "WIDTHxHEIGHT"),
@@ -125,21 +162,49 @@ fn wrong_use_is_met_with_one_line_and_exit_code_2_and_leaves_nothing_behind() {
 #[test]
 fn an_existing_file_is_kept_when_the_command_that_would_replace_it_fails() {
     let folder = empty();
-    fs::write(folder.path().join("r.json"), "precious").unwrap();
-    fs::write(folder.path().join("j.jsonl"), "precious").unwrap();
-    gapwatch_in(
-        folder.path(),
-        &["calibrate", "--sim", "random:frames=9", "--out", "r.json"],
-    )
-    .refusal();
-    gapwatch_in(
-        folder.path(),
-        &["replay", "missing", "--journal", "j.jsonl"],
-    )
-    .refusal();
-    for (_, bytes) in files(folder.path()) {
-        assert_eq!(bytes, b"precious");
+    gapwatch_in(folder.path(), &["scene", "--out", "s", "--count", "40"]).ok();
+    // A reference of frames of which one cannot be judged fails after all have been looked at.
+    let black = image::RgbImage::new(320, 160);
+    black
+        .save(folder.path().join("s/frames/000039.png"))
+        .unwrap();
+    let kept = ["r.json", "h.json", "can.log", "j.jsonl"];
+    kept.map(|name| fs::write(folder.path().join(name), "precious").unwrap());
+    for args in [
+        vec!["calibrate", "--sim", "s/frames", "--out", "r.json"],
+        vec!["compare", "s/frames", "random:", "--histograms", "h.json"],
+        vec![
+            "replay",
+            "missing",
+            "--journal",
+            "j.jsonl",
+            "--can",
+            "log:can.log",
+        ],
+    ] {
+        gapwatch_in(folder.path(), &args).refusal();
     }
+    for name in kept {
+        assert_eq!(
+            fs::read(folder.path().join(name)).unwrap(),
+            b"precious",
+            "{name}"
+        );
+    }
+    assert_eq!(fs::read_dir(folder.path()).unwrap().count(), kept.len() + 1);
+}
+
+#[test]
+fn output_that_nobody_reads_is_not_a_job_done() {
+    let program = env!("CARGO_BIN_EXE_gapwatch");
+    let line = format!(
+        "'{program}' replay 'scene:sim?seconds=3&condition=noise:5' --check | true; exit ${{PIPESTATUS[0]}}"
+    );
+    let status = std::process::Command::new("bash")
+        .args(["-c", &line])
+        .status()
+        .unwrap();
+    assert_eq!(status.code(), Some(2));
 }
 
 #[test]

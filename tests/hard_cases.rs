@@ -133,3 +133,23 @@ fn empty_folders_and_files_that_are_no_pictures_are_named() {
         assert!(line.contains(source) && line.contains(said), "{line}");
     }
 }
+
+#[test]
+fn a_crop_may_end_at_the_edge_of_the_picture() {
+    let folder = tempfile::tempdir().unwrap();
+    gapwatch_in(
+        folder.path(),
+        &["scene", "--out", "s", "--count", "2", "--size", "640x480"],
+    )
+    .ok();
+    for crop in ["0,0.46,1,0.54", "0.1,0.7,0.9,0.3", "0.3,0.3,0.7,0.7"] {
+        let args = [
+            "compare", "s/frames", "s/frames", "--crop", crop, "--format", "csv",
+        ];
+        let csv = gapwatch_in(folder.path(), &args).ok();
+        assert!(
+            csv.lines().skip(1).all(|line| line.ends_with(",2,2,")),
+            "{crop}: {csv}"
+        );
+    }
+}

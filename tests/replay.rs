@@ -127,6 +127,11 @@ fn check_tells_gap_no_gap_and_could_not_judge_apart() {
         check("scene:sim?seed=7&seconds=8&condition=noise:5").code,
         1
     );
+    // One frame in 2.5 s never fills a window.
+    assert_eq!(
+        check("scene:sim?seed=7&seconds=30&fps=0.4&condition=noise:5").code,
+        3
+    );
     let blind = check("black");
     assert_eq!(blind.code, 3, "{}", blind.err);
     assert!(
@@ -147,5 +152,46 @@ fn with_the_log_on_standard_output_nothing_else_is_there() {
     for line in ran.out.lines() {
         assert!(line.starts_with('(') && line.contains('#'), "{line}");
     }
+    assert!(ran.out.lines().count() >= 21, "{}", ran.out);
     assert!(ran.err.contains("Ok"), "{}", ran.err);
+}
+
+#[test]
+fn silence_between_frames_is_unavailable_on_the_bus_and_in_the_journal() {
+    let folder = tempfile::tempdir().unwrap();
+    let drive = [
+        "replay",
+        "scene:sim?seed=7&seconds=12&fps=1",
+        "--journal",
+        "j.jsonl",
+        "--can",
+        "log:can.log",
+    ];
+    gapwatch_in(folder.path(), &drive).ok();
+    let journal = journal(&folder.path().join("j.jsonl"));
+    let silent: Vec<&Value> = journal
+        .iter()
+        .filter(|line| line["seq"].is_null())
+        .collect();
+    assert_eq!((journal.len(), silent.len()), (12 + 11, 11));
+    for line in silent {
+        assert_eq!(
+            (line["state"].as_str(), line["reason"].as_str()),
+            (Some("Unavailable"), Some("stale"))
+        );
+        assert_eq!(line["t_s"].as_f64().unwrap().fract(), 0.5);
+    }
+    // Bits 16 to 18 of GapStatus are the state, the low half of byte 1 the counter, the high half the age.
+    let log = fs::read_to_string(folder.path().join("can.log")).unwrap();
+    for line in log.lines().filter(|line| line.contains(" 5D0#")) {
+        let time: f64 = line[1..18].parse().unwrap();
+        let bytes = line.split('#').nth(1).unwrap();
+        let byte = |i: usize| u8::from_str_radix(&bytes[2 * i..2 * i + 2], 16).unwrap();
+        let since = time.fract();
+        if time > 1.0 {
+            assert_eq!(byte(2) & 7, if since < 0.45 { 1 } else { 5 }, "{line}");
+        }
+        let age = f64::from(byte(1) >> 4) * 0.1;
+        assert!((age - since).abs() < 0.16, "{line}: age {age} s");
+    }
 }

@@ -10,27 +10,10 @@ use program::gapwatch_in;
 use serde_json::Value;
 use sha2::{Digest, Sha256};
 
-/// The processor that `calibration/sim.json` was made on, as the system names it.
-const MADE_ON: &str = "Intel(R) Xeon(R) Processor, avx512f";
-
 fn calibration(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR"))
         .join("calibration")
         .join(name)
-}
-
-/// Model name and widest vector unit of this machine's processor.
-fn processor() -> String {
-    let info = fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
-    let field = |name: &str| {
-        let line = info.lines().find(|line| line.starts_with(name));
-        line.and_then(|line| line.split_once(':'))
-            .map(|(_, value)| value.trim())
-            .unwrap_or_default()
-    };
-    let has = |unit: &&str| field("flags").split(' ').any(|flag| flag == *unit);
-    let unit = ["avx512f", "avx2"].into_iter().find(has).unwrap_or("none");
-    format!("{}, {unit}", field("model name"))
 }
 
 #[test]
@@ -50,11 +33,45 @@ fn model_card_and_reference_carry_the_hash_of_the_model() {
     }
 }
 
+/// Everything equal but for floats, which may differ by a share: encoders round differently on other kinds of processor.
+fn assert_alike(place: &str, found: &Value, wanted: &Value) {
+    match (found, wanted) {
+        (Value::Array(found), Value::Array(wanted)) => {
+            assert_eq!(found.len(), wanted.len(), "{place}");
+            for (index, (found, wanted)) in found.iter().zip(wanted).enumerate() {
+                assert_alike(&format!("{place}[{index}]"), found, wanted);
+            }
+        }
+        (Value::Object(found), Value::Object(wanted)) => {
+            assert!(found.keys().eq(wanted.keys()), "{place}");
+            for (key, wanted) in wanted {
+                assert_alike(&format!("{place}.{key}"), &found[key], wanted);
+            }
+        }
+        (Value::Number(found), Value::Number(wanted))
+            if wanted.is_f64() || place.contains("counts[") =>
+        {
+            let (found, wanted) = (found.as_f64().unwrap(), wanted.as_f64().unwrap());
+            // An edge may move by a cell or two of its grid, and its bins then share their pixels otherwise.
+            let allowed = match place {
+                place if place.contains("edges[") => 2e-3,
+                place if place.contains("counts[") => 0.03 * wanted,
+                _ => 0.01 * wanted.abs(),
+            };
+            assert!(
+                (found - wanted).abs() <= allowed,
+                "{place}: {found}, shipped {wanted}"
+            );
+        }
+        _ => assert_eq!(found, wanted, "{place}"),
+    }
+}
+
 #[test]
 fn the_command_in_the_reference_makes_it_again() {
     let shipped = fs::read_to_string(calibration("sim.json")).unwrap();
-    let value: Value = serde_json::from_str(&shipped).unwrap();
-    let command = value["provenance"]["command"]
+    let shipped: Value = serde_json::from_str(&shipped).unwrap();
+    let command = shipped["provenance"]["command"]
         .as_str()
         .unwrap()
         .replace('\'', "");
@@ -63,35 +80,28 @@ fn the_command_in_the_reference_makes_it_again() {
     fs::create_dir(folder.path().join("calibration")).unwrap();
     gapwatch_in(folder.path(), &args).ok();
     let again = fs::read_to_string(folder.path().join("calibration/sim.json")).unwrap();
-    if processor() == MADE_ON {
-        assert!(
-            again == shipped,
-            "not the same bytes on the kind of processor it was made on ({MADE_ON})"
-        );
-        return;
-    }
-    let again: Value = serde_json::from_str(&again).unwrap();
-    for (tap, other) in value["taps"]
-        .as_array()
-        .unwrap()
-        .iter()
-        .zip(again["taps"].as_array().unwrap())
-    {
-        for (point, other) in tap["scale"]
-            .as_array()
-            .unwrap()
-            .iter()
-            .zip(other["scale"].as_array().unwrap())
-        {
-            let (wanted, found) = (
-                point["threshold"].as_f64().unwrap(),
-                other["threshold"].as_f64().unwrap(),
-            );
-            assert!(
-                (found / wanted - 1.0).abs() < 0.01,
-                "{}: threshold {found}, shipped {wanted}",
-                tap["tap"]
-            );
-        }
+    assert_alike(
+        "reference",
+        &serde_json::from_str(&again).unwrap(),
+        &shipped,
+    );
+}
+
+#[test]
+fn no_text_has_a_place_left_to_fill() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    for name in [
+        "README.md",
+        "CHANGELOG.md",
+        "calibration/README.md",
+        "calibration/train/README.md",
+    ] {
+        let text = fs::read_to_string(root.join(name)).unwrap();
+        let open = text
+            .split('@')
+            .skip(1)
+            .step_by(2)
+            .find(|part| part.chars().all(|c| c.is_ascii_uppercase()));
+        assert_eq!(open, None, "{name}");
     }
 }

@@ -84,19 +84,19 @@ def parse_arguments() -> argparse.Namespace:
     )
     parser.add_argument("--model", choices=MODELS, default="lite", help="which encoder")
     parser.add_argument("--size", type=size_argument, default="320x160", help="input, WxH pixels")
-    parser.add_argument("--scenes", type=count_argument, default=5000, help="training scenes")
+    parser.add_argument("--scenes", type=count_argument, default=6000, help="training scenes")
     parser.add_argument("--validation", type=count_argument, default=200, help="scenes an epoch")
     parser.add_argument("--test", type=count_argument, default=1000, help="scenes for the IoU")
     length = parser.add_mutually_exclusive_group()
-    length.add_argument("--epochs", type=count_argument, default=12, help="passes over the scenes")
+    length.add_argument("--epochs", type=count_argument, default=8, help="passes over the scenes")
     length.add_argument(
         "--minutes", type=float, help="train so long instead; not repeatable to the bit"
     )
     parser.add_argument("--batch", type=count_argument, default=16, help="scenes a step")
-    parser.add_argument("--learning-rate", type=float, default=8e-3, help="at its peak")
+    parser.add_argument("--learning-rate", type=float, default=4e-3, help="at its peak")
     parser.add_argument("--sad", action=argparse.BooleanOptionalAction, default=True,
                         help="self-attention distillation in the second half")
-    parser.add_argument("--sad-weight", type=float, default=0.002, help="its weight in the loss")
+    parser.add_argument("--sad-weight", type=float, default=0.02, help="its weight in the loss")
     parser.add_argument("--share-weights", action=argparse.BooleanOptionalAction, default=None,
                         help="one set of convolutions for E2 to E4; default: enet-sad yes, lite no")
     parser.add_argument("--jitter", type=float, default=0.1, help="of brightness and colour")

@@ -140,7 +140,7 @@ pub struct GapHealth {
     pub latency_p99: Option<Duration>,
     /// How full the window of judged frames is, 0 to 1; on the bus in steps of 0.005.
     pub window_fill: Option<f64>,
-    /// Low byte of the fingerprint of the reference in use.
+    /// First byte of the SHA-256 of the reference in use.
     pub reference_id: u8,
 }
 
@@ -256,6 +256,7 @@ fn reason_code(reason: Reason) -> ReasonCode {
         Reason::Uniform => ReasonCode::Uniform,
         Reason::TooSmall => ReasonCode::TooSmall,
         Reason::Corrupt => ReasonCode::Corrupt,
+        Reason::Stale => ReasonCode::Stale,
         Reason::Undefined => ReasonCode::Undefined,
     }
 }
@@ -269,6 +270,7 @@ fn reason_of(code: ReasonCode) -> Option<Reason> {
         ReasonCode::Uniform => Some(Reason::Uniform),
         ReasonCode::TooSmall => Some(Reason::TooSmall),
         ReasonCode::Corrupt => Some(Reason::Corrupt),
+        ReasonCode::Stale => Some(Reason::Stale),
         ReasonCode::Undefined => Some(Reason::Undefined),
         ReasonCode::NotAvailable | ReasonCode::_Other(_) => None,
     }
@@ -315,13 +317,14 @@ mod tests {
         (AlarmState::SensorFault, 4),
         (AlarmState::Unavailable, 5),
     ];
-    const REASONS: [(Reason, u8); 8] = [
+    const REASONS: [(Reason, u8); 9] = [
         (Reason::None, 0),
         (Reason::Starting, 1),
         (Reason::Abrupt, 2),
         (Reason::Black, 4),
         (Reason::Uniform, 5),
         (Reason::Corrupt, 6),
+        (Reason::Stale, 10),
         (Reason::Undefined, 13),
         (Reason::TooSmall, 14),
     ];
@@ -396,7 +399,7 @@ mod tests {
             let refused = with_byte_2(code).unwrap_err();
             assert_eq!((refused.signal, refused.code), ("State", code));
         }
-        for code in [3, 7, 8, 9, 10, 11, 12, 15] {
+        for code in [3, 7, 8, 9, 11, 12, 15] {
             let refused = with_byte_2(code << 4).unwrap_err();
             assert_eq!((refused.signal, refused.code), ("Reason", code));
         }

@@ -111,9 +111,11 @@ impl StatusSender {
             let (status, health) = (self.status.due(now), self.health.due(now));
             let (message, due, data) = match (status, health) {
                 (Some(due), health) if health.is_none_or(|health| due <= health) => {
-                    (Message::Status, due, self.status.take(due).to_bytes())
+                    let (since, mut status) = self.status.take(due);
+                    status.frame_age = status.frame_age.map(|age| age + (due - since));
+                    (Message::Status, due, status.to_bytes())
                 }
-                (_, Some(due)) => (Message::Health, due, self.health.take(due).to_bytes()),
+                (_, Some(due)) => (Message::Health, due, self.health.take(due).1.to_bytes()),
                 (_, None) => break,
             };
             self.push(Waiting { message, due, data });
@@ -244,8 +246,8 @@ impl<T: Copy> Schedule<T> {
 
     /// What the frame due at `at` carries. It stands for the cyclic frame as well, if that has
     /// fallen due meanwhile.
-    fn take(&mut self, at: Duration) -> T {
-        let (_, valid) = self
+    fn take(&mut self, at: Duration) -> (Duration, T) {
+        let (since, valid) = self
             .valid
             .expect("a frame is due only when a content is valid");
         if self.told.is_none() {
@@ -255,7 +257,7 @@ impl<T: Copy> Schedule<T> {
             self.next_cyclic += self.period;
         }
         self.told = Some((at, valid));
-        valid
+        (since, valid)
     }
 }
 

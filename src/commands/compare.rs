@@ -37,6 +37,11 @@ pub fn run(args: &CompareArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
         None => None,
     };
     let model = Model::load(&args.model)?;
+    let taken =
+        |tap: &&String| ["set", "metric", "images", "judged", "reasons"].contains(&tap.as_str());
+    if let Some(tap) = model.spec.taps.iter().find(taken) {
+        bail!("tap {tap:?} has the name of another column of the result; rename it in the model");
+    }
     let sets = survey_sets(&args.sources, &model)?;
     let Some((reference, others)) = sets.split_first() else {
         bail!("wanted a reference and at least one set")

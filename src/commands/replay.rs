@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::io::{IsTerminal, Write};
 use std::time::{Duration, Instant};
 
+use anyhow::bail;
 use gapwatch::alarm::AlarmState;
 use gapwatch::can::message::{GapHealth, GapStatus};
 use gapwatch::can::sender::StatusSender;
@@ -19,7 +20,7 @@ use indicatif::ProgressBar;
 use super::{Model, progress};
 use crate::args::{ReplayArgs, Speed};
 
-/// With `--check`: judged at least this share of the frames, or "could not judge".
+/// With `--check`: a judging state in at least this share of the frames after `Init`, or "could not judge".
 const JUDGED_MIN: f64 = 0.9;
 /// Exit codes of `--check`.
 const FOUND_NO_GAP: u8 = 0;
@@ -30,6 +31,7 @@ const COULD_NOT_JUDGE: u8 = 3;
 #[derive(Default)]
 struct Summary {
     frames: u64,
+    starting: u64,
     judged: u64,
     last: Duration,
     frames_in: BTreeMap<&'static str, u64>,
@@ -37,6 +39,14 @@ struct Summary {
 }
 
 pub fn run(args: &ReplayArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
+    if let (Sink::LogFile(log), Some(journal)) = (&args.can, &args.journal)
+        && std::path::absolute(log)? == std::path::absolute(journal)?
+    {
+        bail!(
+            "{}: wanted two files for the journal and the CAN log",
+            log.display()
+        );
+    }
     let model = Model::load(&args.model)?;
     let reference = Reference::read(args.reference.as_deref())?;
     let reference_name = args
@@ -46,12 +56,12 @@ pub fn run(args: &ReplayArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
     reference.check_fits(&reference_name, &model.fingerprint)?;
     let mut monitor = Monitor::new(&model.encoder, &reference)?;
     let mut source = open(args.source.as_deref().unwrap_or(BUILT_IN_DRIVE))?;
-    let mut journal = args
+    let journal = args
         .journal
         .as_deref()
         .map(|path| Journal::create(path, &model.spec.taps))
         .transpose()?;
-    let mut bus = Bus::new(args.can.open()?, &reference)?;
+    let bus = Bus::new(args.can.open()?, &reference)?;
     let bar = progress::frames(source.frame_count(), "replaying");
     // With the CAN log on standard output, the lines for people go where they do not mix with it.
     let mut aside = std::io::stderr();
@@ -60,27 +70,34 @@ pub fn run(args: &ReplayArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
     } else {
         out
     };
-    let mut summary = Summary::default();
-    let mut last_state = None;
+    let mut told = Told {
+        journal,
+        bus,
+        bar,
+        summary: Summary::default(),
+        last_state: None,
+    };
     let began = Instant::now();
     while let Some(frame) = source.next_frame()? {
         if args.speed == Speed::Realtime {
             std::thread::sleep(frame.captured_at.saturating_sub(began.elapsed()));
         }
+        if let Some(silence) = monitor.silence(frame.captured_at) {
+            told.tell(&silence, Duration::ZERO, out)?;
+        }
         let taken = Instant::now();
         let verdict = monitor.step(&frame);
-        let latency = taken.elapsed();
-        bus.tell(&verdict, latency)?;
-        if let Some(journal) = &mut journal {
-            journal.add(&verdict, latency)?;
-        }
-        if last_state != Some(verdict.state) {
-            last_state = Some(verdict.state);
-            tell_change(&verdict, &bar, out)?;
-        }
-        summary.add(&verdict);
-        bar.inc(1);
+        told.tell(&verdict, taken.elapsed(), out)?;
+        told.summary.add(&verdict);
+        told.bar.inc(1);
     }
+    let Told {
+        journal,
+        bus,
+        bar,
+        summary,
+        ..
+    } = told;
     bar.finish_and_clear();
     bus.finish()?;
     if let Some(journal) = journal {
@@ -88,6 +105,34 @@ pub fn run(args: &ReplayArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
     }
     summary.tell(began.elapsed(), out)?;
     Ok(if args.check { summary.found() } else { 0 })
+}
+
+/// Everybody who hears of a verdict.
+struct Told {
+    journal: Option<Journal>,
+    bus: Bus,
+    bar: ProgressBar,
+    summary: Summary,
+    last_state: Option<AlarmState>,
+}
+
+impl Told {
+    /// Tells bus and journal, and people when the state has changed.
+    fn tell(
+        &mut self,
+        verdict: &Verdict,
+        latency: Duration,
+        out: &mut dyn Write,
+    ) -> anyhow::Result<()> {
+        self.bus.tell(verdict, latency)?;
+        if let Some(journal) = &mut self.journal {
+            journal.add(verdict, latency)?;
+        }
+        if self.last_state.replace(verdict.state) != Some(verdict.state) {
+            tell_change(verdict, &self.bar, out)?;
+        }
+        Ok(())
+    }
 }
 
 /// One line for a change of state; never torn by the progress bar.
@@ -100,7 +145,11 @@ fn tell_change(verdict: &Verdict, bar: &ProgressBar, out: &mut dyn Write) -> any
     match (verdict.state, &verdict.undefined, verdict.score) {
         (_, Some(why), _) => line += &format!("  {}: {why}", verdict.reason.name()),
         (AlarmState::Init, _, _) => line += "  starting",
-        (_, None, Some(score)) => line += &format!("  score {score:.2}"),
+        (_, None, Some(score)) => {
+            // No minus sign before a score that rounds to nothing.
+            let hundredths = (100.0 * score).round() + 0.0;
+            line += &format!("  score {:.2}", hundredths / 100.0);
+        }
         (_, None, None) => {}
     }
     if std::io::stderr().is_terminal() {
@@ -119,6 +168,8 @@ struct Bus {
     health: Health,
     strict: bool,
     reference_id: u8,
+    /// When the last judged frame was taken.
+    judged_at: Option<Duration>,
 }
 
 impl Bus {
@@ -129,14 +180,20 @@ impl Bus {
             health: Health::default(),
             strict: reference.strict,
             reference_id: reference.id(),
+            judged_at: None,
         })
     }
 
     /// Sends what a verdict changes and what fell due up to its time. In a replay time stands still while a frame is
-    /// judged, so the frame's age is the latency.
+    /// judged, so a judged frame is at first as old as its latency.
     fn tell(&mut self, verdict: &Verdict, latency: Duration) -> anyhow::Result<()> {
-        self.health
-            .note(verdict.at, latency, verdict.score.is_some());
+        if verdict.sequence.is_some() {
+            self.health
+                .note(verdict.at, latency, verdict.score.is_some());
+        }
+        if verdict.score.is_some() {
+            self.judged_at = Some(verdict.at);
+        }
         let mut block_scores = [None; 3];
         block_scores
             .iter_mut()
@@ -149,7 +206,9 @@ impl Bus {
             score: verdict.score,
             block_scores,
             fault_detection_counter: verdict.fault_detection_counter,
-            frame_age: Some(latency),
+            frame_age: self
+                .judged_at
+                .map(|judged_at| verdict.at - judged_at + latency),
         };
         let health = GapHealth {
             strict: self.strict,
@@ -173,7 +232,11 @@ impl Bus {
 impl Summary {
     fn add(&mut self, verdict: &Verdict) {
         self.frames += 1;
-        self.judged += u64::from(verdict.score.is_some());
+        match verdict.state {
+            AlarmState::Init => self.starting += 1,
+            AlarmState::Ok | AlarmState::Suspect | AlarmState::Gap => self.judged += 1,
+            AlarmState::SensorFault | AlarmState::Unavailable => {}
+        }
         self.last = verdict.at;
         *self.frames_in.entry(verdict.state.name()).or_default() += 1;
         self.gaps += u64::from(verdict.state == AlarmState::Gap);
@@ -185,7 +248,7 @@ impl Summary {
         let states: Vec<String> = self
             .frames_in
             .iter()
-            .map(|(name, &count)| format!("{name} {:.0} %", share(count)))
+            .map(|(name, &count)| format!("{name} {:.1} %", share(count)))
             .collect();
         writeln!(
             out,
@@ -202,7 +265,9 @@ impl Summary {
     fn found(&self) -> u8 {
         if self.gaps > 0 {
             FOUND_GAP
-        } else if (self.judged as f64) < JUDGED_MIN * self.frames as f64 {
+        } else if self.judged == 0
+            || (self.judged as f64) < JUDGED_MIN * (self.frames - self.starting) as f64
+        {
             COULD_NOT_JUDGE
         } else {
             FOUND_NO_GAP

@@ -2,6 +2,7 @@
 
 use std::fs;
 use std::io::Write;
+use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
@@ -10,6 +11,7 @@ use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{ExtendedColorType, ImageEncoder};
 use rayon::prelude::*;
 use serde::Serialize;
+use tempfile::TempDir;
 
 use crate::args::SceneArgs;
 
@@ -29,19 +31,19 @@ pub fn run(args: &SceneArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
     }
     let folder = PartialFolder::beside(&args.out)?;
     for part in ["frames", "masks"] {
-        let path = folder.path.join(part);
+        let path = folder.path().join(part);
         fs::create_dir(&path).with_context(|| format!("cannot create {}", path.display()))?;
     }
     let lines = (0..args.count)
         .into_par_iter()
         .map_init(
             || Renderer::new(args.size.width, args.size.height),
-            |renderer, index| render_scene(args, index, renderer, &folder.path),
+            |renderer, index| render_scene(args, index, renderer, folder.path()),
         )
         .collect::<anyhow::Result<Vec<_>>>()?;
-    let list = folder.path.join("scenes.jsonl");
+    let list = folder.path().join("scenes.jsonl");
     fs::write(&list, lines.concat()).with_context(|| format!("cannot write {}", list.display()))?;
-    folder.keep(&args.out)?;
+    folder.keep()?;
     writeln!(
         out,
         "{} scenes of {}x{} in {}",
@@ -100,36 +102,40 @@ fn write_png(
 
 /// A folder under another name until it is complete; removed if that never happens.
 struct PartialFolder {
-    path: PathBuf,
+    folder: TempDir,
+    target: PathBuf,
 }
 
 impl PartialFolder {
     fn beside(target: &Path) -> anyhow::Result<Self> {
-        if target.exists()
-            && !fs::read_dir(target).is_ok_and(|mut entries| entries.next().is_none())
-        {
+        let empty =
+            |target: &Path| fs::read_dir(target).is_ok_and(|mut entries| entries.next().is_none());
+        if target.exists() && !empty(target) {
             bail!(
                 "{} exists and is not an empty folder; name another with --out",
                 target.display()
             );
         }
-        let name = target
-            .file_name()
-            .with_context(|| format!("{}: wanted a folder's name", target.display()))?;
-        let path = target.with_file_name(format!(".{}.partial", name.to_string_lossy()));
-        fs::create_dir(&path).with_context(|| format!("cannot create {}", path.display()))?;
-        Ok(Self { path })
+        // A link to an empty folder stays a link.
+        let target = target.canonicalize().unwrap_or_else(|_| target.to_owned());
+        let parent = target
+            .parent()
+            .filter(|p| !p.as_os_str().is_empty())
+            .unwrap_or(Path::new("."));
+        let folder = tempfile::Builder::new()
+            .prefix(".scenes-")
+            .permissions(PermissionsExt::from_mode(0o755))
+            .tempdir_in(parent)
+            .with_context(|| format!("cannot create {}", target.display()))?;
+        Ok(Self { folder, target })
     }
 
-    fn keep(self, target: &Path) -> anyhow::Result<()> {
-        fs::rename(&self.path, target)
-            .with_context(|| format!("cannot put {} in place", target.display()))
+    fn path(&self) -> &Path {
+        self.folder.path()
     }
-}
 
-impl Drop for PartialFolder {
-    fn drop(&mut self) {
-        // After `keep` nothing is left under this name.
-        let _ = fs::remove_dir_all(&self.path);
+    fn keep(self) -> anyhow::Result<()> {
+        fs::rename(self.path(), &self.target)
+            .with_context(|| format!("cannot put {} in place", self.target.display()))
     }
 }

@@ -1,14 +1,14 @@
 //! Image files: a folder in name order, or one image.
 
 use std::fs;
+use std::io::Cursor;
 use std::path::{Path, PathBuf};
 
-use image::ImageFormat;
+use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader};
 
-use super::{FOLDER_FPS, Frame, FrameSource, Picture, PictureError, SourceError, time_of};
-
-/// Largest picture that is decoded, pixels a side; larger ones are refused before they cost memory.
-const SIDE_MAX: u32 = 16_384;
+use super::{
+    FOLDER_FPS, Frame, FrameSource, PIXELS_MAX, Picture, PictureError, SourceError, time_of,
+};
 
 /// Whether the name ends like an image that can be read.
 pub fn is_image(path: &Path) -> bool {
@@ -116,18 +116,19 @@ fn read(path: &Path) -> Result<Picture, String> {
     if !is_whole(format, &bytes) {
         return Err(format!("an image cut off after {} bytes", bytes.len()));
     }
-    let mut reader = image::ImageReader::with_format(std::io::Cursor::new(bytes), format);
-    let mut limits = image::Limits::default();
-    limits.max_image_width = Some(SIDE_MAX);
-    limits.max_image_height = Some(SIDE_MAX);
-    reader.limits(limits);
-    let picture = reader
-        .decode()
+    let decoder = ImageReader::with_format(Cursor::new(bytes), format)
+        .into_decoder()
+        .map_err(|error| error.to_string())?;
+    let (width, height) = decoder.dimensions();
+    if u64::from(width) * u64::from(height) > PIXELS_MAX {
+        return Err(format!("{width}x{height} pixels, more than {PIXELS_MAX}"));
+    }
+    let picture = DynamicImage::from_decoder(decoder)
         .map_err(|error| error.to_string())?
         .into_rgb8();
     Ok(Picture {
-        width: picture.width(),
-        height: picture.height(),
+        width,
+        height,
         rgb: picture.into_raw(),
     })
 }

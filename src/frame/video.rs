@@ -8,7 +8,7 @@ use std::process::{Child, ChildStdout, Command, Stdio};
 
 use serde::Deserialize;
 
-use super::{Frame, FrameSource, Picture, SourceError, time_of};
+use super::{Frame, FrameSource, PIXELS_MAX, Picture, SourceError, time_of};
 
 /// Nothing but local files is opened, whatever a playlist says.
 const PROTOCOLS: [&str; 2] = ["-protocol_whitelist", "file,pipe"];
@@ -72,6 +72,12 @@ impl VideoSource {
                 first_line(&probe.stderr)
             )));
         };
+        let pixels = u64::from(stream.width) * u64::from(stream.height);
+        if pixels > PIXELS_MAX {
+            return Err(fail(format!(
+                "{pixels} pixels a frame, more than {PIXELS_MAX}"
+            )));
+        }
         let fps = rate(&stream.avg_frame_rate)
             .ok_or_else(|| fail("no frame rate in this file".to_owned()))?;
         let unreadable = |error| SourceError::Unreadable {
@@ -83,9 +89,14 @@ impl VideoSource {
             .args(PROTOCOLS)
             .args(["-nostdin", "-v", "error", "-noautorotate", "-i"])
             .arg(&input)
+            // One rate for a stream of any: frame n lies at n / rate.
             .args([
                 "-map",
                 "0:v:0",
+                "-vf",
+                &format!("fps={}", stream.avg_frame_rate),
+            ])
+            .args([
                 "-sws_flags",
                 "bicubic+accurate_rnd+full_chroma_int",
                 "-f",
@@ -121,7 +132,10 @@ impl VideoSource {
             .complaints
             .rewind()
             .and_then(|()| self.complaints.read_to_end(&mut said));
-        if ended_well && left_over == 0 && said.is_empty() {
+        if ended_well && left_over == 0 && self.next > 0 {
+            if !said.is_empty() {
+                log::warn!("{}: {}", self.path.display(), first_line(&said));
+            }
             return Ok(None);
         }
         let why = format!(

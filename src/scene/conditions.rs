@@ -169,10 +169,12 @@ impl FromStr for Condition {
             .map(|span| {
                 let (from, to) = span.split_once('-')?;
                 let (from, to) = (from.parse::<f64>().ok()?, to.parse::<f64>().ok()?);
-                (from.is_finite() && to.is_finite() && from >= 0.0 && from < to)
+                (from.is_finite() && to.is_finite() && from >= 0.0 && to - from >= RAMP_S)
                     .then_some((from, to))
             })
-            .map(|span| span.ok_or_else(|| error("the span is FROM-TO in seconds, FROM before TO")))
+            .map(|span| {
+                span.ok_or_else(|| error("the span is FROM-TO in seconds, 2 s long or more"))
+            })
             .transpose()?;
         Ok(Self {
             kind,
@@ -215,7 +217,7 @@ mod tests {
             ("mist:3", "kinds are night, rain, fog"),
             ("fog:6", "0 to 5"),
             ("fog:NaN", "0 to 5"),
-            ("fog:3@40-20", "FROM before TO"),
+            ("fog:3@40-20", "2 s long or more"),
             ("fog:3@x", "FROM-TO"),
         ] {
             let message = text.parse::<Condition>().unwrap_err().to_string();

@@ -1,5 +1,5 @@
 //! Runs the built program as its user would.
-#![allow(dead_code, clippy::unwrap_used)]
+#![allow(dead_code, clippy::unwrap_used, clippy::float_cmp)]
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -76,8 +76,8 @@ pub fn files(folder: &Path) -> Vec<(PathBuf, Vec<u8>)> {
     found
 }
 
-/// Compares output with `tests/expected/NAME`: words exactly, numbers within 2 % or 0.02 (encoders round differently on
-/// other kinds of CPU). `BLESS=1` rewrites the file.
+/// Compares output with `tests/expected/NAME`: words exactly, whole numbers too, others within 2 %, two units of their last place or 1e-4
+/// (encoders round differently on other kinds of CPU). `BLESS=1` rewrites the file.
 pub fn assert_expected(name: &str, found: &str) {
     let path = Path::new(env!("CARGO_MANIFEST_DIR"))
         .join("tests/expected")
@@ -87,22 +87,32 @@ pub fn assert_expected(name: &str, found: &str) {
     }
     let wanted = fs::read_to_string(&path).unwrap();
     let (found_parts, wanted_parts) = (parts(found), parts(&wanted));
-    let same = found_parts.len() == wanted_parts.len()
-        && found_parts.iter().zip(&wanted_parts).all(|(a, b)| {
-            match (a.parse::<f64>(), b.parse::<f64>()) {
-                (Ok(a), Ok(b)) => (a - b).abs() <= (0.02 * b.abs()).max(0.02),
-                _ => a.trim() == b.trim(),
-            }
-        });
+    let same =
+        found_parts.len() == wanted_parts.len() && found_parts.iter().zip(&wanted_parts).all(alike);
     assert!(same, "{name}: wanted\n{wanted}\nfound\n{found}");
 }
 
-/// Text cut into numbers and what stands between them.
+fn alike((found, wanted): (&String, &String)) -> bool {
+    match (found.parse::<f64>(), wanted.parse::<f64>()) {
+        (Ok(found), Ok(number)) => {
+            let Some((_, decimals)) = wanted.split_once('.') else {
+                return found == number;
+            };
+            let unit = 0.1_f64.powi(i32::try_from(decimals.len()).unwrap());
+            (found - number).abs() <= (0.02 * number.abs()).max(2.0 * unit).max(1e-4)
+        }
+        _ => found.trim() == wanted.trim(),
+    }
+}
+
+/// Text cut into numbers, with their signs, and what stands between them.
 fn parts(text: &str) -> Vec<String> {
     let chars: Vec<char> = text.chars().collect();
-    let in_number = |c: &char| c.is_ascii_digit() || *c == '.';
-    chars
-        .chunk_by(|a, b| in_number(a) == in_number(b))
-        .map(|part| part.iter().collect())
+    let digit = |i: usize| chars.get(i).is_some_and(char::is_ascii_digit);
+    let in_number = |i: usize| digit(i) || (matches!(chars[i], '.' | '-') && digit(i + 1));
+    let places: Vec<usize> = (0..chars.len()).collect();
+    places
+        .chunk_by(|&a, &b| in_number(a) == in_number(b))
+        .map(|part| part.iter().map(|&i| chars[i]).collect())
         .collect()
 }

@@ -267,6 +267,41 @@ def with_magenta(picture: Image.Image) -> Image.Image:
     return picture
 
 
+ONE_NODE = ModelOptions(
+    taps=("y",), width=64, height=32, mean=(0.0, 0.0, 0.0), std=(1.0, 1.0, 1.0)
+)
+
+
+def impossible_nodes() -> list[tuple[str, onnx.NodeProto, list[npt.NDArray[Any]]]]:
+    """Nodes that cannot be computed, or only with memory that no machine has; with their constants.
+
+    The constants are the node's inputs after the picture.
+    """
+    make = onnx.helper.make_node
+    kernel = np.ones((4, 3, 3, 3), np.float32)
+    pads = np.array([0, 0, 0, 0, 0, 0, 1 << 30, 1 << 30])
+    tiles = np.array([1, 100_000, 1_000, 100])
+    return [
+        ("stride_0", make("Conv", ["x", "c0"], ["y"], strides=[0, 0]), [kernel]),
+        ("padding", make("Conv", ["x", "c0"], ["y"], pads=[1 << 28] * 4), [kernel]),
+        ("pool", make("MaxPool", ["x"], ["y"], kernel_shape=[2, 2], strides=[0, 0]), []),
+        ("axes", make("Transpose", ["x"], ["y"], perm=[0, 1, 2, 9]), []),
+        ("pad", make("Pad", ["x", "c0"], ["y"]), [pads]),
+        ("tile", make("Tile", ["x", "c0"], ["y"]), [tiles]),
+        ("gather", make("Gather", ["x", "c0"], ["y"], axis=1), [np.array([9, 99])]),
+    ]
+
+
+def one_node_network(node: onnx.NodeProto, constants: list[npt.NDArray[Any]]) -> onnx.ModelProto:
+    """A graph of one node on a picture `x` of 64x32, with output `y` of no stated shape."""
+    picture = onnx.helper.make_tensor_value_info("x", onnx.TensorProto.FLOAT, [1, 3, 32, 64])
+    output = onnx.helper.make_tensor_value_info("y", onnx.TensorProto.FLOAT, None)
+    values = [onnx.numpy_helper.from_array(c, f"c{i}") for i, c in enumerate(constants)]
+    graph = onnx.helper.make_graph([node], "one", [picture], [output], values)
+    opset = [onnx.helper.make_opsetid("", 13)]
+    return onnx.helper.make_model(graph, opset_imports=opset, ir_version=8)
+
+
 def refusal(program: Path, arguments: Sequence[str], words: Sequence[str]) -> str:
     """Runs gapwatch, which must refuse with exit code 2 and one line that holds the words."""
     run = subprocess.run([program, *arguments], capture_output=True, text=True, check=False)
@@ -387,6 +422,9 @@ class Check:
             cut.write_bytes(whole[: int(share * len(whole))])
             cut.with_suffix(".toml").write_text(OPTIONS.to_toml())
             said.append(refusal(self.program, [*compare, "--model", str(cut)], [str(cut)]))
+        for name, node, constants in impossible_nodes():
+            path = write_model(self.scratch / name, one_node_network(node, constants), ONE_NODE)
+            said.append(refusal(self.program, [*compare, "--model", str(path)], ["network.onnx"]))
         for line in said:
             self.report(line)
         return len(said)
