@@ -10,6 +10,7 @@
 //! Pixel arithmetic converts between integers and floats on every line, inside ranges that the code fixes.
 #![allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)]
 
+mod canvas;
 mod conditions;
 mod light;
 mod markings;

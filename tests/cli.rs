@@ -169,7 +169,9 @@ fn an_existing_file_is_kept_when_the_command_that_would_replace_it_fails() {
         .save(folder.path().join("s/frames/000039.png"))
         .unwrap();
     let kept = ["r.json", "h.json", "can.log", "j.jsonl"];
-    kept.map(|name| fs::write(folder.path().join(name), "precious").unwrap());
+    for name in kept {
+        fs::write(folder.path().join(name), "precious").unwrap();
+    }
     for args in [
         vec!["calibrate", "--sim", "s/frames", "--out", "r.json"],
         vec!["compare", "s/frames", "random:", "--histograms", "h.json"],

@@ -19,6 +19,11 @@ pub fn unit(bits: u32) -> f32 {
     (bits >> 8) as f32 * (1.0 / 16_777_216.0)
 }
 
+/// A uniform number in `[0, 1)` for item `i` of kind `k`.
+pub fn uniform(seed: u32, i: usize, k: i32) -> f32 {
+    unit(hash(seed, i as i32, k))
+}
+
 fn lattice(x: f64) -> (i32, f32) {
     let cell = x.floor();
     (cell as i64 as i32, (x - cell) as f32)

@@ -1,10 +1,11 @@
 //! Paints one moment of a drive in linear light with depth, labels the lane lines, and hands over to weather and sensor.
 
 use super::Drive;
+use super::canvas::{Canvas, Lamp};
 use super::conditions::{ConditionKind, RAIN_MIRROR, Severities, graded, severities_at};
 use super::light::{Colour, blended, scaled};
 use super::markings::PaintRow;
-use super::noise::{hash, unit, value_noise};
+use super::noise::{hash, value_noise};
 use super::projection::{GroundRow, GroundView, Projection};
 use super::road::{Pose, RoadAhead};
 use super::surroundings::{ObjectKind, RoadsideObject};
@@ -23,25 +24,6 @@ pub struct Labelled<'a> {
     pub rgb: &'a [u8],
     /// `[H, W]`, 255 on a lane line, else 0.
     pub mask: &'a [u8],
-}
-
-/// A light that shines by itself.
-#[derive(Clone, Copy)]
-pub(super) struct Lamp {
-    pub at: (f32, f32),
-    pub radius_px: f32,
-    pub colour: Colour,
-}
-
-/// Linear light on its way to the sensor.
-pub(super) struct Canvas {
-    pub width: usize,
-    pub height: usize,
-    /// `[H, W]`, linear light.
-    pub light: Vec<Colour>,
-    /// `[H, W]`, distance in metres; infinite in the sky.
-    pub depth_m: Vec<f32>,
-    pub lamps: Vec<Lamp>,
 }
 
 /// Renders drives at one size; buffers are kept between frames.
@@ -426,9 +408,4 @@ impl Board {
             }
         }
     }
-}
-
-/// A seeded uniform number for item `i` of kind `k`.
-pub(super) fn uniform(seed: u32, i: usize, k: i32) -> f32 {
-    unit(hash(seed, i as i32, k))
 }

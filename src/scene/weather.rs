@@ -3,14 +3,14 @@
 use std::sync::OnceLock;
 
 use super::Drive;
+use super::canvas::Canvas;
 use super::conditions::{
     BLUR_SIGMA, ConditionKind, DIRT_COVER, FOG_EXTINCTION, GLARE_VEIL, NIGHT_DAYLIGHT, NOISE_SIGMA,
     RAIN_DROPS, RAIN_EXTINCTION, RAIN_STREAKS, Severities, graded,
 };
 use super::light::{Colour, blended, scaled};
-use super::noise::{hash, value_noise};
+use super::noise::{hash, uniform, value_noise};
 use super::projection::Projection;
-use super::render::{Canvas, uniform};
 
 /// Applies the conditions between scene and sensor, in the order light meets them; returns the exposure's gain.
 pub fn apply(

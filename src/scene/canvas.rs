@@ -1,0 +1,28 @@
+//! Linear light and depth of one moment: what the painter fills and the weather changes.
+
+use super::light::Colour;
+
+/// A light that shines by itself.
+#[derive(Clone, Copy)]
+pub struct Lamp {
+    /// Column and row, pixels.
+    pub at: (f32, f32),
+    /// Radius, pixels.
+    pub radius_px: f32,
+    /// Its light.
+    pub colour: Colour,
+}
+
+/// Linear light on its way to the sensor.
+pub struct Canvas {
+    /// Pixels a row.
+    pub width: usize,
+    /// Rows.
+    pub height: usize,
+    /// `[H, W]`, linear light.
+    pub light: Vec<Colour>,
+    /// `[H, W]`, distance in metres; infinite in the sky.
+    pub depth_m: Vec<f32>,
+    /// Lights that shine by themselves.
+    pub lamps: Vec<Lamp>,
+}
