@@ -104,7 +104,7 @@ pub struct Condition {
 }
 
 impl Condition {
-    /// Severity at `t_s`: grows over [`RAMP_S`] before the span begins, and fades over the last [`RAMP_S`] of it.
+    /// Severity at `t_s`: grows over `RAMP_S` before the span begins, and fades over the last `RAMP_S` of it.
     pub fn severity_at(&self, t_s: f64) -> f32 {
         let Some((full_s, gone_s)) = self.span_s else {
             return self.severity;
