@@ -1,7 +1,5 @@
 //! Whole sources through the encoder: what `calibrate` and `compare` work on.
 
-use std::time::Duration;
-
 use crate::attention::{EnergyMap, Upsampler};
 use crate::encoder::{Encoder, EncoderError};
 use crate::energies::EnergyStage;
@@ -14,19 +12,10 @@ use crate::undefined::Undefined;
 pub struct Survey {
     /// As typed.
     pub source: String,
-    /// Every frame, in order.
-    pub frames: Vec<Seen>,
+    /// Of every frame, in order: energy maps of the blocks, each of its block's own size, or why there are none.
+    pub frames: Vec<Result<Vec<EnergyMap>, Undefined>>,
     /// Size that maps are resampled to, width and height.
     pub common_size: (usize, usize),
-}
-
-/// One frame of a survey.
-#[derive(Debug)]
-pub struct Seen {
-    /// Time since the source began.
-    pub at: Duration,
-    /// Energy maps of the blocks, or why there are none.
-    pub energies: Result<Vec<EnergyMap>, Undefined>,
 }
 
 /// A source that could not be surveyed.
@@ -61,11 +50,7 @@ impl Survey {
             if let Err(error) = &frame.picture {
                 return Err(SurveyError::Picture(error.to_string()));
             }
-            let energies = stage.energies(&frame).map(<[EnergyMap]>::to_vec);
-            frames.push(Seen {
-                at: frame.captured_at,
-                energies,
-            });
+            frames.push(stage.energies(&frame).map(<[EnergyMap]>::to_vec));
             seen();
         }
         Ok(Self {
@@ -84,8 +69,8 @@ impl Survey {
         tap: usize,
     ) -> impl Iterator<Item = Result<EnergyMap, Undefined>> + '_ {
         let mut upsampler: Option<Upsampler> = None;
-        self.frames.iter().map(move |seen| {
-            let map = &seen.energies.as_ref().map_err(Undefined::clone)?[tap];
+        self.frames.iter().map(move |energies| {
+            let map = &energies.as_ref().map_err(Undefined::clone)?[tap];
             let upsampler = upsampler
                 .get_or_insert_with(|| Upsampler::new((map.width, map.height), self.common_size));
             let mut common = EnergyMap::default();

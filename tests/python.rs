@@ -31,6 +31,19 @@ fn scenes(folder: &Path, name: &str, more: &[&str]) -> PathBuf {
     folder.join(name).join("frames")
 }
 
+/// Makes a video of the frames of a scene set `s`.
+fn video(folder: &Path, codec: &[&str], name: &str) {
+    let frames = ["-v", "error", "-framerate", "10", "-i", "s/frames/%06d.png"];
+    let status = Command::new("ffmpeg")
+        .args(frames)
+        .args(codec)
+        .arg(name)
+        .current_dir(folder)
+        .status()
+        .unwrap();
+    assert!(status.success());
+}
+
 /// The folder of real image sets.
 fn field(set: &str) -> String {
     let root =
@@ -128,25 +141,11 @@ fn networks_of_other_peoples_shape_are_tapped_calibrated_and_compared() {
 fn a_video_is_seen_like_the_pictures_it_was_made_of() {
     let folder = tempfile::tempdir().unwrap();
     scenes(folder.path(), "s", &["--count", "30", "--seed", "2"]);
-    let encode = [
-        "-v",
-        "error",
-        "-framerate",
-        "10",
-        "-i",
-        "s/frames/%06d.png",
-        "-c:v",
-        "ffv1",
-        "-pix_fmt",
-        "bgr0",
+    video(
+        folder.path(),
+        &["-c:v", "ffv1", "-pix_fmt", "bgr0"],
         "v.mkv",
-    ];
-    let status = Command::new("ffmpeg")
-        .args(encode)
-        .current_dir(folder.path())
-        .status()
-        .unwrap();
-    assert!(status.success());
+    );
     let journal = |source: &str, name: &str| {
         gapwatch_in(folder.path(), &["replay", source, "--journal", name]).ok();
         let text = std::fs::read_to_string(folder.path().join(name)).unwrap();
@@ -164,25 +163,7 @@ fn a_video_is_seen_like_the_pictures_it_was_made_of() {
 fn a_damaged_video_gives_the_frames_that_are_there_and_a_cut_one_its_name() {
     let folder = tempfile::tempdir().unwrap();
     scenes(folder.path(), "s", &["--count", "30", "--seed", "2"]);
-    let encode = [
-        "-v",
-        "error",
-        "-framerate",
-        "10",
-        "-i",
-        "s/frames/%06d.png",
-        "-c:v",
-        "mjpeg",
-        "v.avi",
-    ];
-    assert!(
-        Command::new("ffmpeg")
-            .args(encode)
-            .current_dir(folder.path())
-            .status()
-            .unwrap()
-            .success()
-    );
+    video(folder.path(), &["-c:v", "mjpeg"], "v.avi");
     let path = folder.path().join("v.avi");
     let whole = std::fs::read(&path).unwrap();
     let frames = |args: &[&str]| {
