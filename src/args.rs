@@ -27,10 +27,11 @@ pub enum Command {
 }
 
 /// How sources are named, for the help of every command that takes one.
-const SOURCES: &str = "Sources:
+const SOURCES: &str = "Sources (in quotes: shells take ? and & for themselves):
   scene:sim[?seed=7&seconds=60&fps=10&condition=fog:3@20-40]   rendered drive; severity reached at 20 s, gone at 40 s
   random:[seed=1&frames=60]                                    random pixels
-  DIR[?fps=10]                                                 folder of PNG or JPEG images in name order
+  DIR[?fps=10]                                                 folder of PNG or JPEG images in name order, 10 a second
+                                                               unless ?fps= says otherwise
   FILE                                                         one image, or a video (through ffmpeg)";
 
 /// Run a drive through the monitor, as in the car

@@ -34,7 +34,7 @@ pub enum EncoderError {
         model: String,
         /// As asked for.
         tap: String,
-        /// Names that exist, in the order of the graph.
+        /// Names that exist: the outputs, then the inner values in the order of the graph.
         known: String,
     },
     /// The model's input is not a picture of the wanted size.
@@ -130,7 +130,14 @@ impl Encoder {
                     .ok_or_else(|| EncoderError::NoTap {
                         model: spec.name.clone(),
                         tap: tap.clone(),
-                        known: listed(graph.node.iter().flat_map(|node| &node.output)),
+                        known: {
+                            let outputs = graph.output.iter().map(|output| &output.name);
+                            let inner = graph.node.iter().flat_map(|node| &node.output);
+                            let inner = inner.filter(|name| {
+                                graph.output.iter().all(|output| &output.name != *name)
+                            });
+                            listed(outputs.chain(inner))
+                        },
                     })
             })
             .collect::<Result<Vec<_>, _>>()?;

@@ -59,7 +59,7 @@ pub enum SourceError {
     #[error("{}: no such file or folder", .0.display())]
     Missing(PathBuf),
     /// A folder without images.
-    #[error("{}: no PNG or JPEG image in this folder", .0.display())]
+    #[error("{}: no PNG or JPEG image in this folder (those of a scene set are in its folder frames)", .0.display())]
     Empty(PathBuf),
     /// A file or folder that cannot be read.
     #[error("{}: {error}", path.display())]

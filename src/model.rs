@@ -151,8 +151,12 @@ impl ModelSpec {
                 "no normalisation; wanted --mean r,g,b and --std r,g,b of values 0..1, or both in a .toml beside it",
             ));
         };
-        if !mean.iter().all(|m| m.is_finite()) || !std.iter().all(|s| s.is_normal() && *s > 0.0) {
-            return Err(wrong("wanted finite means and standard deviations above 0"));
+        if !mean.iter().all(|m| (0.0..=1.0).contains(m))
+            || !std.iter().all(|s| s.is_normal() && (0.0..=1.0).contains(s))
+        {
+            return Err(wrong(
+                "wanted means from 0 to 1 and standard deviations above 0 up to 1, of values 0..1 (divide by 255)",
+            ));
         }
         let crop = options.crop.unwrap_or(CROP_NOTHING);
         let [left, top, wide, high] = crop;

@@ -141,6 +141,21 @@ fn wrong_use_is_met_with_one_line_and_exit_code_2_and_leaves_nothing_behind() {
             ],
             "at most 100000",
         ),
+        (
+            vec![
+                "calibrate",
+                "--sim",
+                "scene:sim",
+                "scene:sim",
+                "--out",
+                "r.json",
+            ],
+            "given twice",
+        ),
+        (
+            vec!["replay", "--mean", "90,90,90", "--std", "1,1,1"],
+            "divide by 255",
+        ),
         (vec!["calibrate", "--out", "r.json"], "--sim"),
         (vec!["scene", "--out", "no/such/folder"], "no/such"),
         (vec!["scene", "--out", "s", "--size", "32"], "WIDTHxHEIGHT"),

@@ -132,6 +132,12 @@ fn check_tells_gap_no_gap_and_could_not_judge_apart() {
         check("scene:sim?seed=7&seconds=30&fps=0.4&condition=noise:5").code,
         3
     );
+    // At one frame a second there is no verdict half of the time, but evidence adds up.
+    assert_eq!(check("scene:sim?seed=7&seconds=20&fps=1").code, 3);
+    assert_eq!(
+        check("scene:sim?seed=7&seconds=20&fps=1&condition=noise:5").code,
+        1
+    );
     let blind = check("black");
     assert_eq!(blind.code, 3, "{}", blind.err);
     assert!(

@@ -2,7 +2,7 @@
 
 use std::io::Write;
 
-use anyhow::Context;
+use anyhow::{Context, bail};
 use gapwatch::calibration::{THRESHOLD_MARGIN, calibrate};
 use gapwatch::frame::drives;
 use gapwatch::reference::{Provenance, Reference};
@@ -18,6 +18,12 @@ pub fn run(args: &CalibrateArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
         .map(|name| drives(name))
         .collect::<Result<Vec<_>, _>>()?
         .concat();
+    if let Some(twice) = (1..sources.len()).find(|&i| sources[..i].contains(&sources[i])) {
+        bail!(
+            "source {} is given twice; held-out drives must be others than fitted ones",
+            sources[twice]
+        );
+    }
     let surveys = model.survey(&sources, "calibrating")?;
     let (taps, sources) = calibrate(&surveys, &model.spec.taps, args.metric)?;
     let provenance = Provenance {

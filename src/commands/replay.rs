@@ -20,22 +20,21 @@ use indicatif::ProgressBar;
 use super::{Model, progress};
 use crate::args::{ReplayArgs, Speed};
 
-/// With `--check`: a judging state in at least this share of the frames after `Init`, or "could not judge".
+/// With `--check`: a judging state for at least this share of the time after `Init`, or "could not judge".
 const JUDGED_MIN: f64 = 0.9;
 /// Exit codes of `--check`.
 const FOUND_NO_GAP: u8 = 0;
 const FOUND_GAP: u8 = 1;
 const COULD_NOT_JUDGE: u8 = 3;
 
-/// What came of the drive.
+/// What came of the drive, by its time.
 #[derive(Default)]
 struct Summary {
     frames: u64,
-    starting: u64,
-    judged: u64,
-    last: Duration,
-    frames_in: BTreeMap<&'static str, u64>,
-    gaps: u64,
+    not_judged: u64,
+    time_in: BTreeMap<&'static str, Duration>,
+    last: Option<(Duration, AlarmState)>,
+    gap: bool,
 }
 
 pub fn run(args: &ReplayArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
@@ -88,7 +87,6 @@ pub fn run(args: &ReplayArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
         let taken = Instant::now();
         let verdict = monitor.step(&frame);
         told.tell(&verdict, taken.elapsed(), out)?;
-        told.summary.add(&verdict);
         told.bar.inc(1);
     }
     let Told {
@@ -124,6 +122,7 @@ impl Told {
         latency: Duration,
         out: &mut dyn Write,
     ) -> anyhow::Result<()> {
+        self.summary.add(verdict);
         self.bus.tell(verdict, latency)?;
         if let Some(journal) = &mut self.journal {
             journal.add(verdict, latency)?;
@@ -231,43 +230,51 @@ impl Bus {
 
 impl Summary {
     fn add(&mut self, verdict: &Verdict) {
-        self.frames += 1;
-        match verdict.state {
-            AlarmState::Init => self.starting += 1,
-            AlarmState::Ok | AlarmState::Suspect | AlarmState::Gap => self.judged += 1,
-            AlarmState::SensorFault | AlarmState::Unavailable => {}
+        self.frames += u64::from(verdict.sequence.is_some());
+        self.not_judged += u64::from(verdict.sequence.is_some() && verdict.score.is_none());
+        self.gap |= verdict.state == AlarmState::Gap;
+        if let Some((since, state)) = self.last.replace((verdict.at, verdict.state)) {
+            *self.time_in.entry(state.name()).or_default() += verdict.at - since;
         }
-        self.last = verdict.at;
-        *self.frames_in.entry(verdict.state.name()).or_default() += 1;
-        self.gaps += u64::from(verdict.state == AlarmState::Gap);
     }
 
-    #[allow(clippy::cast_precision_loss)]
+    fn total_s(&self) -> f64 {
+        self.time_in.values().sum::<Duration>().as_secs_f64()
+    }
+
+    fn in_s(&self, states: &[AlarmState]) -> f64 {
+        let time_in =
+            |state: &AlarmState| self.time_in.get(state.name()).copied().unwrap_or_default();
+        states.iter().map(time_in).sum::<Duration>().as_secs_f64()
+    }
+
     fn tell(&self, took: Duration, out: &mut dyn Write) -> anyhow::Result<()> {
-        let share = |count: u64| 100.0 * count as f64 / self.frames.max(1) as f64;
-        let states: Vec<String> = self
-            .frames_in
-            .iter()
-            .map(|(name, &count)| format!("{name} {:.1} %", share(count)))
-            .collect();
-        writeln!(
+        let total_s = self.total_s();
+        let shares = self.time_in.iter().map(|(name, time)| {
+            format!(
+                "{name} {:.1} %",
+                100.0 * time.as_secs_f64() / total_s.max(1e-9)
+            )
+        });
+        let (took_s, shares) = (took.as_secs_f64(), shares.collect::<Vec<_>>().join(", "));
+        write!(
             out,
-            "{} frames, {:.1} s of drive in {:.1} s: {}",
-            self.frames,
-            self.last.as_secs_f64(),
-            took.as_secs_f64(),
-            states.join(", ")
+            "{} frames, {total_s:.1} s of drive in {took_s:.1} s: {shares}",
+            self.frames
         )?;
+        match self.not_judged {
+            0 => writeln!(out)?,
+            count => writeln!(out, "; {count} frames could not be judged")?,
+        }
         Ok(())
     }
 
-    #[allow(clippy::cast_precision_loss)]
     fn found(&self) -> u8 {
-        if self.gaps > 0 {
+        let judged_s = self.in_s(&[AlarmState::Ok, AlarmState::Suspect, AlarmState::Gap]);
+        let started_s = self.total_s() - self.in_s(&[AlarmState::Init]);
+        if self.gap {
             FOUND_GAP
-        } else if self.judged == 0
-            || (self.judged as f64) < JUDGED_MIN * (self.frames - self.starting) as f64
-        {
+        } else if judged_s <= 0.0 || judged_s < JUDGED_MIN * started_s {
             COULD_NOT_JUDGE
         } else {
             FOUND_NO_GAP
