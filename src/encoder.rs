@@ -143,13 +143,6 @@ impl Encoder {
             .collect::<Result<Vec<_>, _>>()?;
         let (width, height) = (spec.preprocessing.width, spec.preprocessing.height);
         let input_shape = [1, 3, height as usize, width as usize];
-        let wrong_input = |input: &str, found: String| EncoderError::Input {
-            model: spec.name.clone(),
-            input: input.to_owned(),
-            found,
-            height,
-            width,
-        };
         let [input] = model.inputs[..] else {
             let names: Vec<&str> = model
                 .inputs
@@ -160,14 +153,19 @@ impl Encoder {
                 "its inputs are {names:?}; wanted one, a picture"
             )));
         };
-        let name = model.node(input.node).name.clone();
         let declared = model
             .input_fact(0)
             .map_err(|e| broken(&root(&e)))?
             .shape
             .clone();
         if !admits(&declared, &input_shape) {
-            return Err(wrong_input(&name, format!("[{declared:?}]")));
+            return Err(EncoderError::Input {
+                model: spec.name.clone(),
+                input: model.node(input.node).name.clone(),
+                found: format!("[{declared:?}]"),
+                height,
+                width,
+            });
         }
         model
             .set_input_fact(0, f32::fact(input_shape).into())

@@ -74,7 +74,6 @@ pub fn run(args: &ReplayArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
         bus,
         bar,
         summary: Summary::default(),
-        last_state: None,
     };
     let began = Instant::now();
     while let Some(frame) = source.next_frame()? {
@@ -94,7 +93,6 @@ pub fn run(args: &ReplayArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
         bus,
         bar,
         summary,
-        ..
     } = told;
     bar.finish_and_clear();
     bus.finish()?;
@@ -111,7 +109,6 @@ struct Told {
     bus: Bus,
     bar: ProgressBar,
     summary: Summary,
-    last_state: Option<AlarmState>,
 }
 
 impl Told {
@@ -122,12 +119,12 @@ impl Told {
         latency: Duration,
         out: &mut dyn Write,
     ) -> anyhow::Result<()> {
-        self.summary.add(verdict);
+        let before = self.summary.add(verdict);
         self.bus.tell(verdict, latency)?;
         if let Some(journal) = &mut self.journal {
             journal.add(verdict, latency)?;
         }
-        if self.last_state.replace(verdict.state) != Some(verdict.state) {
+        if before != Some(verdict.state) {
             tell_change(verdict, &self.bar, out)?;
         }
         Ok(())
@@ -229,13 +226,14 @@ impl Bus {
 }
 
 impl Summary {
-    fn add(&mut self, verdict: &Verdict) {
+    /// Counts a verdict; gives the state before it.
+    fn add(&mut self, verdict: &Verdict) -> Option<AlarmState> {
         self.frames += u64::from(verdict.sequence.is_some());
         self.not_judged += u64::from(verdict.sequence.is_some() && verdict.score.is_none());
         self.gap |= verdict.state == AlarmState::Gap;
-        if let Some((since, state)) = self.last.replace((verdict.at, verdict.state)) {
-            *self.time_in.entry(state.name()).or_default() += verdict.at - since;
-        }
+        let (since, state) = self.last.replace((verdict.at, verdict.state))?;
+        *self.time_in.entry(state.name()).or_default() += verdict.at - since;
+        Some(state)
     }
 
     fn total_s(&self) -> f64 {
