@@ -8,7 +8,7 @@ use gapwatch::can::Sink;
 use gapwatch::gap::Metric;
 use gapwatch::model::ModelOptions;
 use gapwatch::reference::{WINDOW_S_MAX, WINDOW_S_MIN};
-use gapwatch::scene::Condition;
+use gapwatch::scene::{Condition, Element, Look};
 
 /// Watches the road through a lane model's own encoder and warns on CAN when it has left the domain the model knows.
 #[derive(Debug, Parser)]
@@ -223,8 +223,17 @@ fn temperature(text: &str) -> Result<Temperature, String> {
 )]
 pub struct SceneArgs {
     /// Folder to write; must not exist or be empty
-    #[arg(long, value_name = "DIR")]
-    pub out: PathBuf,
+    #[arg(long, value_name = "DIR", required_unless_present = "list")]
+    pub out: Option<PathBuf>,
+    /// Print the names that can be used instead of rendering
+    #[arg(long, value_enum, exclusive = true, value_name = "WHAT")]
+    pub list: Option<SceneList>,
+    /// How the world looks
+    #[arg(long, value_name = "NAME", default_value_t = Look::Sim)]
+    pub look: Look,
+    /// Element left out of the world; may be repeated
+    #[arg(long, value_name = "ELEMENT")]
+    pub without: Vec<Element>,
     /// How many scenes
     #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     pub count: u32,
@@ -237,6 +246,17 @@ pub struct SceneArgs {
     /// Size of the pictures, pixels
     #[arg(long, value_name = "WxH", default_value = "320x160")]
     pub size: PictureSize,
+}
+
+/// Names that `scene --list` prints.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum SceneList {
+    /// Looks of the world
+    Looks,
+    /// Elements that can be left out
+    Elements,
+    /// Kinds of condition
+    Conditions,
 }
 
 /// A picture's size as typed, `WxH`.

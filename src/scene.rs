@@ -5,33 +5,39 @@
 //! what the lane task needs and nothing else: a road surface of clothoids and hills, boards standing on it, light, lens.
 //!
 //! Data flow: `Road`, `Layout`, `Surroundings`, `Traffic`, `Light` → [`Renderer`] (linear light and depth) → weather →
-//! sensor → 8-bit frame and lane mask.
+//! lens → sensor → 8-bit frame and lane mask. A [`World`] says in which look, and with which elements.
 //!
 //! Pixel arithmetic converts between integers and floats on every line, inside ranges that the code fixes.
 #![allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)]
 
 mod canvas;
 mod conditions;
+mod lens;
 mod light;
 mod markings;
 mod noise;
 mod projection;
 mod render;
 mod road;
+mod sensor;
 mod spec;
 mod surroundings;
 mod traffic;
+mod tunnel;
 mod weather;
+mod world;
 
 pub use conditions::{Condition, ConditionError, ConditionKind, Severities, severities_at};
 pub use render::{Labelled, Renderer};
-pub use spec::{DriveSpec, Look, SpecError};
+pub use spec::{DriveSpec, SpecError};
+pub use world::{Element, Look, World, WorldError};
 
-use light::Light;
+use light::{Colour, Light};
 use markings::Layout;
 use noise::{Draws, hash};
 use projection::CameraMount;
 use road::Road;
+use sensor::Sensor;
 use surroundings::Surroundings;
 use traffic::Traffic;
 
@@ -45,22 +51,29 @@ pub struct Drive {
     traffic: Traffic,
     light: Light,
     camera: CameraMount,
+    sensor: Sensor,
+    /// Colour of the own bonnet, where it is in view.
+    bonnet: Option<Colour>,
     conditions: Vec<Condition>,
 }
 
 impl Drive {
-    /// The drive of a look and seed under a list of conditions.
-    pub fn new(look: Look, seed: u64, conditions: &[Condition]) -> Self {
-        let seed = hash((seed >> 32) as u32, seed as u32 as i32, look as i32);
+    /// The drive of a seed in a world under a list of conditions.
+    pub fn new(world: &World, seed: u64, conditions: &[Condition]) -> Self {
+        let seed = hash((seed >> 32) as u32, seed as u32 as i32, 0);
         let part = |name| Draws(Draws(seed).seed(name));
         Self {
             seed,
-            road: Road::new(part("road")),
-            layout: Layout::new(part("layout")),
-            surroundings: Surroundings::new(part("surroundings")),
-            traffic: Traffic::new(part("traffic")),
-            light: Light::new(part("light")),
-            camera: CameraMount::new(part("camera")),
+            road: Road::new(part("road"), world),
+            layout: Layout::new(part("layout"), world),
+            surroundings: Surroundings::new(part("surroundings"), world),
+            traffic: Traffic::new(part("traffic"), world),
+            light: Light::new(part("light"), world),
+            camera: CameraMount::new(part("camera"), world),
+            sensor: Sensor::new(part("sensor"), world),
+            bonnet: (world.look == Look::Game).then(|| {
+                part("bonnet").pick("paint", &[[0.04, 0.04, 0.05], [0.30, 0.02, 0.02], [0.5; 3]])
+            }),
             conditions: conditions.to_vec(),
         }
     }

@@ -6,14 +6,14 @@ use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
-use gapwatch::scene::{Drive, Look, Renderer};
+use gapwatch::scene::{ConditionKind, Drive, Element, Look, Renderer, World};
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{ExtendedColorType, ImageEncoder};
 use rayon::prelude::*;
 use serde::Serialize;
 use tempfile::TempDir;
 
-use crate::args::SceneArgs;
+use crate::args::{SceneArgs, SceneList};
 
 /// One line of `scenes.jsonl`.
 #[derive(Serialize)]
@@ -22,14 +22,28 @@ struct SceneLine {
     mask: String,
     seed: u64,
     t_s: f64,
+    look: &'static str,
+    without: Vec<&'static str>,
     conditions: Vec<String>,
 }
 
 pub fn run(args: &SceneArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
+    if let Some(list) = args.list {
+        let names: Vec<&str> = match list {
+            SceneList::Looks => Look::ALL.map(Look::name).to_vec(),
+            SceneList::Elements => Element::ALL.map(Element::name).to_vec(),
+            SceneList::Conditions => ConditionKind::ALL.map(ConditionKind::name).to_vec(),
+        };
+        writeln!(out, "{}", names.join("\n"))?;
+        return Ok(0);
+    }
+    let Some(target) = &args.out else {
+        bail!("wanted --out DIR");
+    };
     if let Some(timed) = args.condition.iter().find(|c| c.span_s.is_some()) {
         bail!("condition {timed}: a scene is one moment; wanted KIND:SEVERITY without @FROM-TO");
     }
-    let folder = PartialFolder::beside(&args.out)?;
+    let folder = PartialFolder::beside(target)?;
     for part in ["frames", "masks"] {
         let path = folder.path().join(part);
         fs::create_dir(&path).with_context(|| format!("cannot create {}", path.display()))?;
@@ -50,7 +64,7 @@ pub fn run(args: &SceneArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
         args.count,
         args.size.width,
         args.size.height,
-        args.out.display()
+        target.display()
     )?;
     Ok(0)
 }
@@ -64,12 +78,18 @@ fn render_scene(
     // Seeds of scene sets lie above 32 bits: no scene is a moment of a drive that a user can name by a small seed.
     let seed = (u64::from(args.seed) + 1) << 32 | u64::from(index);
     let t_s = f64::from(index % 600);
-    let scene = renderer.render(&Drive::new(Look::Sim, seed, &args.condition), t_s);
+    let world = World {
+        look: args.look,
+        without: args.without.clone(),
+    };
+    let scene = renderer.render(&Drive::new(&world, seed, &args.condition), t_s);
     let line = SceneLine {
         frame: format!("frames/{index:06}.png"),
         mask: format!("masks/{index:06}.png"),
         seed,
         t_s,
+        look: args.look.name(),
+        without: args.without.iter().map(|e| e.name()).collect(),
         conditions: args.condition.iter().map(ToString::to_string).collect(),
     };
     write_png(

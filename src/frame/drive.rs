@@ -3,12 +3,10 @@
 use super::{Frame, FrameSource, Picture, SourceError, time_of};
 use crate::scene::{Drive, DriveSpec, Renderer};
 
-/// Size at which drives are rendered, pixels: that of the built-in encoder.
-const SIZE: (u32, u32) = (320, 160);
-
 pub struct DriveSource {
     drive: Drive,
     renderer: Renderer,
+    size_px: (u32, u32),
     fps: f64,
     next: u64,
     count: u64,
@@ -20,8 +18,9 @@ impl DriveSource {
         #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)]
         let count = (spec.seconds * spec.fps).ceil() as u64;
         Self {
-            drive: Drive::new(spec.look, spec.seed, &spec.conditions),
-            renderer: Renderer::new(SIZE.0, SIZE.1),
+            drive: Drive::new(&spec.world, spec.seed, &spec.conditions),
+            renderer: Renderer::new(spec.size_px.0, spec.size_px.1),
+            size_px: spec.size_px,
             fps: spec.fps,
             next: 0,
             count,
@@ -45,8 +44,8 @@ impl FrameSource for DriveSource {
             sequence,
             captured_at,
             picture: Ok(Picture {
-                width: SIZE.0,
-                height: SIZE.1,
+                width: self.size_px.0,
+                height: self.size_px.1,
                 rgb,
             }),
         }))

@@ -26,3 +26,16 @@ pub struct Canvas {
     /// Lights that shine by themselves.
     pub lamps: Vec<Lamp>,
 }
+
+impl Canvas {
+    /// A canvas of `width` by `height` pixels without light.
+    pub fn new(width: usize, height: usize) -> Self {
+        Self {
+            width,
+            height,
+            light: vec![[0.0; 3]; width * height],
+            depth_m: vec![f32::INFINITY; width * height],
+            lamps: Vec::new(),
+        }
+    }
+}

@@ -26,11 +26,20 @@ pub enum ConditionKind {
     Glare,
     /// Dirt on the lens.
     Dirt,
+    /// Snow on the ground and in the air.
+    Snow,
+    /// A tunnel over the stretch of road driven in the condition's span; severity is darkness.
+    Tunnel,
+    /// The camera knocked out of its place: rolled, turned and tipped.
+    Askew,
 }
 
 impl ConditionKind {
     /// All kinds, in the order in which they are applied.
-    pub const ALL: [Self; 7] = [
+    pub const ALL: [Self; 10] = [
+        Self::Askew,
+        Self::Tunnel,
+        Self::Snow,
         Self::Night,
         Self::Rain,
         Self::Fog,
@@ -40,7 +49,8 @@ impl ConditionKind {
         Self::Noise,
     ];
 
-    fn name(self) -> &'static str {
+    /// The word a user types.
+    pub fn name(self) -> &'static str {
         match self {
             Self::Fog => "fog",
             Self::Night => "night",
@@ -49,13 +59,16 @@ impl ConditionKind {
             Self::Noise => "noise",
             Self::Glare => "glare",
             Self::Dirt => "dirt",
+            Self::Snow => "snow",
+            Self::Tunnel => "tunnel",
+            Self::Askew => "askew",
         }
     }
 }
 
 /// Severities at one moment.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Severities([f32; 7]);
+pub struct Severities([f32; ConditionKind::ALL.len()]);
 
 impl Severities {
     /// The severity of one kind, 0 to 5.
@@ -91,6 +104,19 @@ pub const NOISE_SIGMA: [f32; 6] = [0.0, 5.0, 10.0, 18.0, 30.0, 48.0];
 pub const GLARE_VEIL: [f32; 6] = [0.0, 0.06, 0.14, 0.26, 0.42, 0.65];
 /// Share of the lens under dirt.
 pub const DIRT_COVER: [f32; 6] = [0.0, 0.05, 0.10, 0.18, 0.28, 0.42];
+
+/// Share of the verge under snow.
+pub const SNOW_VERGE: [f32; 6] = [0.0, 0.40, 0.80, 1.0, 1.0, 1.0];
+/// Share of the road under snow; wheel tracks are the last to go.
+pub const SNOW_ROAD: [f32; 6] = [0.0, 0.03, 0.15, 0.35, 0.65, 0.95];
+/// Flakes in a picture 320 pixels wide.
+pub const SNOW_FLAKES: [f32; 6] = [0.0, 40.0, 90.0, 160.0, 260.0, 400.0];
+/// Extinction of falling snow, 1/m.
+pub const SNOW_EXTINCTION: [f32; 6] = [0.0, 0.001, 0.003, 0.006, 0.012, 0.022];
+/// Light in a tunnel as a share of daylight: lit like a station, down to lamps that are out.
+pub const TUNNEL_LIGHT: [f32; 6] = [1.0, 0.35, 0.18, 0.09, 0.04, 0.012];
+/// Roll of a camera knocked askew, degrees; it is turned aside by half of that and tipped by a third.
+pub const ASKEW_ROLL_DEG: [f32; 6] = [0.0, 1.5, 3.0, 5.0, 8.0, 12.0];
 
 /// A condition over the time of a drive, as in `fog:3` or `fog:3@20-40`.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -214,7 +240,7 @@ mod tests {
     fn wrong_conditions_are_refused_with_what_is_wanted() {
         for (text, part) in [
             ("fog", "no severity"),
-            ("mist:3", "kinds are night, rain, fog"),
+            ("mist:3", "kinds are askew, tunnel, snow, night"),
             ("fog:6", "0 to 5"),
             ("fog:NaN", "0 to 5"),
             ("fog:3@40-20", "2 s long or more"),

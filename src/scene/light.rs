@@ -1,6 +1,7 @@
 //! Light and air of a nominal drive: sun, sky, haze and the exposure that follows them.
 
 use super::noise::{Draws, value_noise};
+use super::world::{Element, Look, World};
 
 /// A linear-light colour, red, green, blue; 1 is a white sheet in full light.
 pub type Colour = [f32; 3];
@@ -32,28 +33,48 @@ pub struct Light {
     shadow_side: f64,
     shadow_seed: u32,
     shadow_density: f32,
+    /// Extinction of the clear day's air, 1/m.
+    pub extinction: f32,
     /// Brightness after exposure: pixel value of a mid-grey road, about.
     pub exposure: f32,
 }
 
 impl Light {
     /// The light of a drive: day, from overcast to clear.
-    pub fn new(draws: Draws) -> Self {
-        let clear = draws.range("clear sky", 0.0, 1.0);
+    pub fn new(draws: Draws, world: &World) -> Self {
+        let clear = match world.look {
+            Look::Sim | Look::Realistic => draws.range("clear sky", 0.0, 1.0),
+            Look::Game => draws.range("clear sky", 0.7, 1.0),
+        };
         let warm = draws.range("warmth", 0.0, 1.0);
         let ground = blended([0.92, 0.97, 1.05], [1.08, 0.99, 0.86], warm * clear);
         let grey = [0.78, 0.80, 0.83];
+        let low = blended([0.66, 0.78, 0.95], [0.95, 0.86, 0.72], warm * 0.7);
+        let (high, low) = match world.look {
+            Look::Sim => ([0.18, 0.36, 0.74], low),
+            // A real sensor, exposed for the road, clips the sky near the horizon.
+            Look::Realistic => ([0.30, 0.46, 0.78], scaled(low, 1.35)),
+            Look::Game => ([0.08, 0.28, 0.80], [0.62, 0.82, 1.0]),
+        };
+        let shadow_depth = match world.look {
+            Look::Sim => (0.62 * clear - 0.1).max(0.0),
+            Look::Realistic => (0.75 * clear - 0.1).max(0.0),
+            Look::Game => 0.7,
+        };
         Self {
-            ground,
-            zenith: blended(scaled(grey, 0.85), [0.18, 0.36, 0.74], clear),
-            horizon: blended(
-                grey,
-                blended([0.66, 0.78, 0.95], [0.95, 0.86, 0.72], warm * 0.7),
-                clear,
+            ground: match world.look {
+                Look::Sim | Look::Realistic => ground,
+                Look::Game => [1.25, 1.16, 0.98],
+            },
+            zenith: blended(scaled(grey, 0.85), high, clear),
+            horizon: blended(grey, low, clear),
+            cloud_cover: world.when(
+                Element::Clouds,
+                draws.range("cloud cover", 0.25, 0.75),
+                -1.0,
             ),
-            cloud_cover: draws.range("cloud cover", 0.25, 0.75),
             cloud_seed: draws.seed("clouds"),
-            shadow_depth: (0.62 * clear - 0.1).max(0.0),
+            shadow_depth: world.when(Element::Shadows, shadow_depth, 0.0),
             shadow_side: if draws.chance("shadow side", 0.5) {
                 1.0
             } else {
@@ -61,7 +82,11 @@ impl Light {
             },
             shadow_seed: draws.seed("shadows"),
             shadow_density: draws.range("shadow density", 0.35, 0.72),
-            exposure: draws.range("exposure", 0.75, 1.30),
+            extinction: match world.look {
+                Look::Sim | Look::Game => 0.0,
+                Look::Realistic => draws.range("air", 0.0003, 0.0020),
+            },
+            exposure: world.when(Element::Exposure, draws.range("exposure", 0.75, 1.30), 1.0),
         }
     }
 

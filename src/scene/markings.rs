@@ -1,6 +1,8 @@
 //! What is painted on the road: which lines, where, how worn.
 
-use super::noise::{Draws, NoiseRow};
+use super::light::Colour;
+use super::noise::{Draws, NoiseRow, hash};
+use super::world::{Element, Look, World};
 
 /// One painted line along the road.
 #[derive(Clone, Copy, Debug)]
@@ -28,20 +30,29 @@ pub struct Layout {
     pub oncoming_m: Option<f32>,
     /// Width of a lane, metres.
     pub lane_width_m: f32,
+    /// Colours of white and of yellow paint in full light.
+    pub colours: [Colour; 2],
+    symbols: f32,
+    symbol_seed: u32,
     wear: f32,
     wear_seed: u32,
 }
 
 impl Layout {
     /// The cross-section of a drive: 1 to 3 lanes one way, or 1 each way.
-    pub fn new(draws: Draws) -> Self {
+    pub fn new(draws: Draws, world: &World) -> Self {
         let lane = draws.range("lane width", 3.0, 3.8);
         let count = draws.pick("lanes", &[1, 2, 2, 3, 3]);
         let ego = draws.seed("ego lane") as usize % count;
         let two_way = count == 1;
-        let width_m = draws.range("line width", 0.11, 0.22);
-        let dash = draws.pick("dash", &[(3.0, 9.0), (4.0, 8.0), (6.0, 6.0), (6.0, 12.0)]);
-        let yellow = draws.chance("yellow", 0.35);
+        let (width_m, dash) = match world.look {
+            Look::Sim | Look::Realistic => (
+                draws.range("line width", 0.11, 0.22),
+                draws.pick("dash", &[(3.0, 9.0), (4.0, 8.0), (6.0, 6.0), (6.0, 12.0)]),
+            ),
+            Look::Game => (0.15, (3.0, 4.5)),
+        };
+        let yellow = world.has(Element::YellowPaint) && draws.chance("yellow", 0.35);
         let left_edge = -(ego as f32 + 0.5) * lane;
         let right_edge = (count as f32 - ego as f32 - 0.5) * lane;
         let mut lines = heapless::Vec::new();
@@ -85,8 +96,48 @@ impl Layout {
             lanes_m: (0..count).map(|i| (i as f32 - ego as f32) * lane).collect(),
             oncoming_m: two_way.then_some(-lane),
             lane_width_m: lane,
-            wear: draws.range("wear", 0.0, 0.75),
+            colours: match world.look {
+                Look::Sim => [[0.78, 0.78, 0.76], [0.72, 0.50, 0.10]],
+                Look::Realistic => [[0.70, 0.69, 0.65], [0.66, 0.46, 0.12]],
+                Look::Game => [[0.98, 0.98, 1.0], [0.95, 0.70, 0.02]],
+            },
+            symbols: world.when(
+                Element::Symbols,
+                draws.range("symbols", -0.3, 0.4).max(0.0),
+                0.0,
+            ),
+            symbol_seed: draws.seed("symbol places"),
+            wear: world.when(
+                Element::Wear,
+                match world.look {
+                    Look::Sim => draws.range("wear", 0.0, 0.75),
+                    Look::Realistic => draws.range("wear", 0.2, 0.9),
+                    Look::Game => 0.05,
+                },
+                0.0,
+            ),
             wear_seed: draws.seed("wear pattern"),
+        }
+    }
+}
+
+/// Spacing of the grid that may hold one arrow in each lane, metres.
+const SYMBOL_CELL_M: f64 = 45.0;
+
+impl Layout {
+    /// Half the width of the arrow in the middle of every lane at arc length `s_m`, metres: a shaft of 4 m with a head
+    /// of 2 m; 0 between arrows.
+    fn arrow(&self, s_m: f64) -> f32 {
+        let cell = (s_m / SYMBOL_CELL_M).floor();
+        if self.symbols <= 0.0
+            || !Draws(hash(self.symbol_seed, cell as i32, 0)).chance("there", self.symbols)
+        {
+            return 0.0;
+        }
+        match s_m - cell * SYMBOL_CELL_M {
+            along if along < 4.0 => 0.08,
+            along if along < 6.0 => 0.45 * ((6.0 - along) / 2.0) as f32,
+            _ => 0.0,
         }
     }
 }
@@ -97,6 +148,8 @@ pub struct PaintRow<'a> {
     cover: heapless::Vec<f32, 8>,
     wear: NoiseRow,
     worn: bool,
+    /// Half the width of an arrow in this row, metres; 0 where there is none.
+    arrow_m: f32,
 }
 
 impl<'a> PaintRow<'a> {
@@ -114,13 +167,14 @@ impl<'a> PaintRow<'a> {
                 .collect(),
             wear: NoiseRow::new(layout.wear_seed, s_m / 0.35),
             worn: length_m < 2.0,
+            arrow_m: layout.arrow(s_m),
         }
     }
 
-    /// Share of paint on `width_m` metres around offset `d_m`, and whether it is yellow.
+    /// Share of paint on `width_m` metres around offset `d_m`, and its colour.
     ///
     /// Coverage is the exact overlap of line and pixel, so thin lines far away fade instead of flickering.
-    pub fn at(&self, d_m: f32, width_m: f32) -> Option<(f32, bool)> {
+    pub fn at(&self, d_m: f32, width_m: f32) -> Option<(f32, Colour)> {
         for (line, cover) in self.layout.lines.iter().zip(&self.cover) {
             let overlap = (0.5 * (line.width_m + width_m) - (d_m - line.offset_m).abs()) / width_m;
             let share = overlap.clamp(0.0, (line.width_m / width_m).min(1.0)) * cover;
@@ -131,10 +185,18 @@ impl<'a> PaintRow<'a> {
                     0.5
                 };
                 let kept = 1.0 - self.layout.wear * (0.35 + 0.65 * grain);
-                return Some((share * kept, line.yellow));
+                return Some((share * kept, self.layout.colours[usize::from(line.yellow)]));
             }
         }
-        None
+        let lanes = self.layout.lanes_m.iter();
+        let aside_m = lanes.map(|m| (d_m - m).abs()).fold(f32::INFINITY, f32::min);
+        let share = ((self.arrow_m - aside_m) / width_m + 0.5).clamp(0.0, 1.0);
+        (self.arrow_m > 0.0 && share > 0.0).then(|| {
+            (
+                share * (1.0 - 0.6 * self.layout.wear),
+                self.layout.colours[0],
+            )
+        })
     }
 }
 
@@ -164,7 +226,7 @@ mod tests {
     #[test]
     fn the_ego_lane_lies_between_two_lines() {
         for seed in 0..200 {
-            let layout = Layout::new(Draws(seed));
+            let layout = Layout::new(Draws(seed), &World::default());
             let left = layout
                 .lines
                 .iter()

@@ -2,6 +2,7 @@
 
 use super::noise::Draws;
 use super::road::{Pose, RoadAhead};
+use super::world::{Look, World};
 
 /// How the camera is fixed in the car.
 #[derive(Clone, Copy, Debug)]
@@ -16,25 +17,41 @@ pub struct CameraMount {
 }
 
 impl CameraMount {
-    /// The camera of a drive: 52 to 74 degrees of horizontal view, 1.2 to 1.7 m above the road.
-    pub fn new(draws: Draws) -> Self {
-        let half_view = draws.range("half view", 26.0, 37.0).to_radians();
+    /// The camera of a drive: 52 to 74 degrees of horizontal view, 1.2 to 1.7 m above the road; the game's is wider and
+    /// higher.
+    pub fn new(draws: Draws, world: &World) -> Self {
+        let (half_view, height_m) = match world.look {
+            Look::Sim | Look::Realistic => (
+                draws.range("half view", 26.0, 37.0),
+                draws.range("height", 1.2, 1.7),
+            ),
+            Look::Game => (
+                draws.range("half view", 38.0, 46.0),
+                draws.range("height", 1.8, 2.4),
+            ),
+        };
         Self {
-            focal: 0.5 / libm::tanf(half_view),
-            height_m: draws.range("height", 1.2, 1.7),
+            focal: 0.5 / libm::tanf(half_view.to_radians()),
+            height_m,
             pitch: draws.range("pitch", -0.05, 0.03),
             yaw: draws.range("yaw", -0.02, 0.02),
             aside_m: draws.range("aside", -0.2, 0.2),
         }
     }
 
-    /// The projection for a picture of the given size in pixels while the car is at `pose`.
-    pub fn projection(&self, width: usize, height: usize, pose: &Pose) -> Projection {
+    /// The projection for a picture of the given size in pixels while the car is at `pose`; `turned` and `tipped` are
+    /// the camera's further yaw and pitch, radians.
+    pub fn projection(
+        &self,
+        (width, height): (usize, usize),
+        pose: &Pose,
+        (turned, tipped): (f32, f32),
+    ) -> Projection {
         let focal_px = self.focal * width as f32;
         Projection {
             focal_px,
-            centre_x: 0.5 * width as f32 - focal_px * self.yaw,
-            horizon_y: 0.45 * height as f32 + focal_px * (self.pitch + pose.pitch),
+            centre_x: 0.5 * width as f32 - focal_px * (self.yaw + turned),
+            horizon_y: 0.45 * height as f32 + focal_px * (self.pitch + pose.pitch + tipped),
             height_m: self.height_m,
         }
     }
@@ -54,6 +71,15 @@ pub struct Projection {
 }
 
 impl Projection {
+    /// The same projection into a picture with `margin_px` more on every side.
+    pub fn with_margin(self, margin_px: usize) -> Self {
+        Self {
+            centre_x: self.centre_x + margin_px as f32,
+            horizon_y: self.horizon_y + margin_px as f32,
+            ..self
+        }
+    }
+
     /// Column of a point `x_m` to the right at distance `z_m`.
     pub fn column(&self, x_m: f32, z_m: f32) -> f32 {
         self.centre_x + self.focal_px * x_m / z_m

@@ -2,14 +2,18 @@
 
 use super::Drive;
 use super::canvas::{Canvas, Lamp};
-use super::conditions::{ConditionKind, RAIN_MIRROR, Severities, graded, severities_at};
+use super::conditions::{
+    ConditionKind, RAIN_MIRROR, SNOW_ROAD, SNOW_VERGE, Severities, graded, severities_at,
+};
+use super::lens::{self, Askew};
 use super::light::{Colour, blended, scaled};
 use super::markings::PaintRow;
 use super::noise::{hash, value_noise};
 use super::projection::{GroundRow, GroundView, Projection};
 use super::road::{Pose, RoadAhead};
-use super::surroundings::{ObjectKind, RoadsideObject};
+use super::surroundings::{ObjectKind, Rail, RoadsideObject};
 use super::traffic::Vehicle;
+use super::tunnel::Tunnel;
 use super::weather;
 
 /// Lane lines are labelled up to this distance, metres.
@@ -38,13 +42,7 @@ impl Renderer {
     pub fn new(width: u32, height: u32) -> Self {
         let (width, height) = (width as usize, height as usize);
         Self {
-            canvas: Canvas {
-                width,
-                height,
-                light: vec![[0.0; 3]; width * height],
-                depth_m: vec![f32::INFINITY; width * height],
-                lamps: Vec::new(),
-            },
+            canvas: Canvas::new(width, height),
             mask: vec![0; width * height],
             rgb: vec![0; width * height * 3],
         }
@@ -56,34 +54,98 @@ impl Renderer {
         let pose = drive.road.pose(t_s);
         let ahead = drive.road.ahead(&pose);
         let canvas = &mut self.canvas;
-        let projection = drive.camera.projection(canvas.width, canvas.height, &pose);
-        let view = GroundView::new(&projection, &ahead, canvas.height);
-        canvas.lamps.clear();
-        canvas.depth_m.fill(f32::INFINITY);
-        self.mask.fill(0);
-        let moment = Moment {
+        let askew = Askew::of(&severities, drive.seed);
+        let projection = drive.camera.projection(
+            (canvas.width, canvas.height),
+            &pose,
+            (askew.turned, askew.tipped),
+        );
+        let margin_px = askew.margin_px(canvas.width, canvas.height);
+        let scene = Scene {
             drive,
+            t_s,
             pose,
             ahead: &ahead,
-            projection,
-            view: &view,
             severities,
+            label_half_px: LABEL_HALF_WIDTH_PX * canvas.width as f32 / 320.0,
         };
-        moment.paint_sky(canvas);
-        moment.paint_ground(canvas, &mut self.mask);
-        moment.paint_objects(t_s, canvas, &mut self.mask);
+        if margin_px == 0 {
+            scene.paint(projection, canvas, &mut self.mask);
+        } else {
+            let mut wide = Canvas::new(canvas.width + 2 * margin_px, canvas.height + 2 * margin_px);
+            let mut wide_mask = vec![0; wide.light.len()];
+            scene.paint(projection.with_margin(margin_px), &mut wide, &mut wide_mask);
+            askew.roll_into((&wide, &wide_mask), margin_px, (canvas, &mut self.mask));
+        }
         let time_seed = hash(drive.seed, (t_s * 1_000.0).round() as i64 as i32, 0x71);
-        let gain = weather::apply(canvas, drive, &projection, &severities, time_seed);
-        weather::expose(
+        weather::apply(
             canvas,
-            drive.light.exposure * gain,
+            &projection,
             &severities,
+            drive.light.extinction,
             time_seed,
-            &mut self.rgb,
         );
+        lens::apply(
+            canvas,
+            &projection,
+            &severities,
+            drive.sensor.softness,
+            drive.seed,
+        );
+        let gain = drive.light.exposure * drive.sensor.gain(&drive.conditions, t_s);
+        drive
+            .sensor
+            .expose(canvas, gain, &severities, time_seed, &mut self.rgb);
         Labelled {
             rgb: &self.rgb,
             mask: &self.mask,
+        }
+    }
+}
+
+/// One moment of a drive, before a camera looks at it.
+struct Scene<'a> {
+    drive: &'a Drive,
+    t_s: f64,
+    pose: Pose,
+    ahead: &'a RoadAhead,
+    severities: Severities,
+    label_half_px: f32,
+}
+
+impl Scene<'_> {
+    /// Paints light, depth and labels of everything that stands or lies there.
+    fn paint(&self, projection: Projection, canvas: &mut Canvas, mask: &mut [u8]) {
+        let drive = self.drive;
+        let view = GroundView::new(&projection, self.ahead, canvas.height);
+        canvas.lamps.clear();
+        canvas.depth_m.fill(f32::INFINITY);
+        mask.fill(0);
+        let moment = Moment {
+            drive,
+            pose: self.pose,
+            ahead: self.ahead,
+            projection,
+            view: &view,
+            severities: self.severities,
+            label_half_px: self.label_half_px,
+            tunnel: Tunnel::near(
+                &drive.conditions,
+                &drive.road,
+                drive.layout.asphalt_m,
+                self.pose.s_m,
+                drive.seed,
+            ),
+        };
+        moment.paint_sky(canvas);
+        moment.paint_ground(canvas, mask);
+        moment.paint_standing(self.t_s, canvas, mask);
+        if let Some(tunnel) = &moment.tunnel {
+            let aside_m = self.pose.sway_m + drive.camera.aside_m;
+            tunnel.paint(canvas, mask, &projection, self.ahead, aside_m);
+        }
+        if let Some(bonnet) = drive.bonnet {
+            paint_bonnet(bonnet, canvas, mask);
         }
     }
 }
@@ -95,6 +157,8 @@ struct Moment<'a> {
     projection: Projection,
     view: &'a GroundView,
     severities: Severities,
+    label_half_px: f32,
+    tunnel: Option<Tunnel>,
 }
 
 impl Moment<'_> {
@@ -106,9 +170,16 @@ impl Moment<'_> {
 
     fn sky_at(&self, x: f32, elevation: f32) -> Colour {
         let azimuth = (x - self.projection.centre_x) / self.projection.focal_px;
-        self.drive
+        let sky = self
+            .drive
             .light
-            .sky(azimuth + self.compass() as f32, elevation)
+            .sky(azimuth + self.compass() as f32, elevation);
+        blended(sky, [0.74, 0.76, 0.79], 0.8 * self.snow_on_verge())
+    }
+
+    /// Share of the verge under snow.
+    fn snow_on_verge(&self) -> f32 {
+        graded(SNOW_VERGE, self.severities.of(ConditionKind::Snow))
     }
 
     fn paint_sky(&self, canvas: &mut Canvas) {
@@ -118,10 +189,12 @@ impl Moment<'_> {
             .iter()
             .position(Option::is_some)
             .unwrap_or(canvas.height);
-        let hill = scaled(
+        let hill = blended(
             self.drive.surroundings.hill_colour(),
-            self.drive.light.ground[1],
+            SNOW,
+            0.7 * self.snow_on_verge(),
         );
+        let hill = scaled(hill, self.drive.light.ground[1]);
         for x in 0..canvas.width {
             let column = x as f32 + 0.5;
             let azimuth = f64::from((column - self.projection.centre_x) / self.projection.focal_px)
@@ -159,7 +232,7 @@ impl Moment<'_> {
             .surroundings
             .ground_row(s_m, row.length_m.max(metres_a_pixel));
         let paint = PaintRow::new(layout, s_m, row.length_m);
-        let label_half_m = (LABEL_HALF_WIDTH_PX * light.len() as f32 / 320.0) * metres_a_pixel;
+        let label_half_m = self.label_half_px * metres_a_pixel;
         // A line `d` metres aside runs at slope d / height in the picture; its label is as wide across as along a row.
         let camera_d_m = self.lateral(row, self.projection.centre_x);
         let slant = |d_m: f32| {
@@ -169,6 +242,15 @@ impl Moment<'_> {
         let labelled = row.z_m <= LABEL_REACH_M;
         let wet = graded(RAIN_MIRROR, self.severities.of(ConditionKind::Rain));
         let mirror = wet * row.z_m / (row.z_m + 12.0);
+        let in_tunnel = self.tunnel.as_ref().is_some_and(|t| t.covers(row.z_m));
+        let (snow_on_verge, snow_on_road) = if in_tunnel {
+            (0.0, 0.0)
+        } else {
+            (
+                self.snow_on_verge(),
+                graded(SNOW_ROAD, self.severities.of(ConditionKind::Snow)),
+            )
+        };
         let below_horizon =
             ((y as f32 + 0.5) - self.projection.horizon_y).max(0.0) / self.projection.focal_px;
         // Places on the ground are measured from the middle of the ego lane; the camera stands beside it by sway and mount.
@@ -178,17 +260,18 @@ impl Moment<'_> {
             let (from_m, to_m) = layout.asphalt_m;
             let ground = if (from_m..to_m).contains(&d_m) {
                 let phase = d_m - layout.lane_width_m * (d_m / layout.lane_width_m).round();
-                let base = textures.asphalt(d_m, phase);
+                let base = textures.asphalt(d_m, phase, metres_a_pixel);
                 let painted = match paint.at(d_m, metres_a_pixel) {
-                    Some((share, yellow)) => {
-                        let colour = if yellow {
-                            [0.72, 0.50, 0.10]
-                        } else {
-                            [0.78, 0.78, 0.76]
-                        };
-                        blended(base, colour, share)
-                    }
+                    Some((share, colour)) => blended(base, colour, share),
                     None => base,
+                };
+                let painted = if snow_on_road > 0.0 {
+                    // Wheels clear their tracks as long as there is any road to be seen.
+                    let track = 1.0 - ((phase.abs() - 0.85).abs() / 0.45).min(1.0);
+                    let cover = snow_on_road * (1.0 - 0.6 * track * (1.0 - snow_on_road));
+                    blended(painted, SNOW, textures.snow(d_m, cover))
+                } else {
+                    painted
                 };
                 if mirror > 0.0 {
                     let sky = self.sky_at(x as f32, below_horizon);
@@ -196,6 +279,10 @@ impl Moment<'_> {
                 } else {
                     painted
                 }
+            } else if in_tunnel {
+                KERB
+            } else if snow_on_verge > 0.0 {
+                blended(textures.verge(d_m), SNOW, textures.snow(d_m, snow_on_verge))
             } else {
                 textures.verge(d_m)
             };
@@ -221,24 +308,81 @@ impl Moment<'_> {
         from_axis_m - row.lateral_m + self.pose.sway_m + self.drive.camera.aside_m
     }
 
-    fn paint_objects(&self, t_s: f64, canvas: &mut Canvas, mask: &mut [u8]) {
+    /// Paints what stands on the road and beside it, the farthest first.
+    fn paint_standing(&self, t_s: f64, canvas: &mut Canvas, mask: &mut [u8]) {
         let (drive, s_m) = (self.drive, self.pose.s_m);
+        let edges_m = drive.layout.asphalt_m;
+        let hidden = |z_m: f32| self.tunnel.as_ref().is_some_and(|t| t.covers(z_m));
+        let mut standing: Vec<(f32, Standing)> = drive
+            .surroundings
+            .objects(s_m + 5.0, s_m + 260.0, edges_m)
+            .map(|object| ((object.s_m - s_m) as f32, Standing::Roadside(object)))
+            .collect();
         let vehicles = drive
             .traffic
             .ahead(t_s, &self.pose, &drive.road, &drive.layout);
-        let mut vehicles = vehicles.iter().peekable();
-        for object in drive
-            .surroundings
-            .objects(s_m + 5.0, s_m + 260.0, drive.layout.asphalt_m)
-        {
-            let z_m = (object.s_m - s_m) as f32;
-            while let Some(vehicle) = vehicles.next_if(|v| v.z_m >= z_m) {
-                self.paint_vehicle(vehicle, canvas, mask);
-            }
-            self.paint_roadside(&object, z_m, canvas, mask);
+        standing.extend(
+            vehicles
+                .into_iter()
+                .map(|vehicle| (vehicle.z_m, Standing::Vehicle(vehicle))),
+        );
+        let sides = [(edges_m.0, -1.0), (edges_m.1, 1.0)];
+        for (rail, (edge_m, side)) in drive.surroundings.rails.iter().zip(sides) {
+            let Some(rail) = rail else { continue };
+            let d_m = edge_m + side * rail.clear_m;
+            standing.extend((1..self.ahead.nodes.len()).filter_map(|node| {
+                let z_m = self.ahead.nodes[node].z_m;
+                let near = (1.0..180.0).contains(&z_m) && self.ahead.nodes[node - 1].z_m >= 1.0;
+                near.then_some((z_m, Standing::Rail(rail, d_m, node)))
+            }));
         }
-        for vehicle in vehicles {
-            self.paint_vehicle(vehicle, canvas, mask);
+        standing.sort_by(|a, b| b.0.total_cmp(&a.0));
+        for (z_m, standing) in &standing {
+            match standing {
+                Standing::Vehicle(vehicle) => self.paint_vehicle(vehicle, canvas, mask),
+                _ if hidden(*z_m) => {}
+                Standing::Roadside(object) => self.paint_roadside(object, *z_m, canvas, mask),
+                Standing::Rail(rail, d_m, node) => {
+                    self.paint_rail(rail, *d_m, *node, canvas, mask);
+                }
+            }
+        }
+    }
+
+    /// Paints a rail between two stations of the road, `node` the farther one.
+    fn paint_rail(&self, rail: &Rail, d_m: f32, node: usize, canvas: &mut Canvas, mask: &mut [u8]) {
+        let ends = [self.ahead.nodes[node - 1], self.ahead.nodes[node]].map(|node| {
+            let x_m = d_m + node.lateral_m - self.pose.sway_m - self.drive.camera.aside_m;
+            (
+                self.projection.column(x_m, node.z_m),
+                self.projection.row(node.rise_m + rail.height_m.1, node.z_m),
+                self.projection.row(node.rise_m + rail.height_m.0, node.z_m),
+                node.z_m,
+            )
+        });
+        let [near, far] = ends;
+        let (left, right) = (near.0.min(far.0), near.0.max(far.0));
+        let crest = self.view.crest(near.3);
+        let light = self.drive.light.ground;
+        for x in Board::pixels(left - 0.5, right + 0.5, canvas.width) {
+            let across = ((x as f32 + 0.5 - near.0) / (far.0 - near.0)).clamp(0.0, 1.0);
+            let across = if across.is_nan() { 0.0 } else { across };
+            let at = |near: f32, far: f32| near + across * (far - near);
+            let (top, foot) = (at(near.1, far.1), at(near.2, far.2).min(crest));
+            // Distances are even in 1/z along a line in the picture.
+            let z_m = 1.0 / at(1.0 / near.3, 1.0 / far.3);
+            for y in Board::pixels(top - 0.5, foot + 0.5, canvas.height) {
+                let cover = (foot.min(y as f32 + 1.0) - top.max(y as f32)).clamp(0.0, 1.0);
+                let up = (foot - (y as f32 + 0.5)) / (foot - top).max(0.1);
+                let tone = 0.7 + 0.3 * up.clamp(0.0, 1.0);
+                let pixel = y * canvas.width + x;
+                let colour = [0, 1, 2].map(|c| rail.colour[c] * light[c] * tone);
+                canvas.light[pixel] = blended(canvas.light[pixel], colour, cover);
+                if cover > 0.5 {
+                    canvas.depth_m[pixel] = z_m;
+                    mask[pixel] = 0;
+                }
+            }
         }
     }
 
@@ -273,6 +417,7 @@ impl Moment<'_> {
         };
         let sun = self.drive.light.ground;
         let seed = object.seed;
+        let snow = 0.5 * self.snow_on_verge();
         board.paint(canvas, mask, |across, up| {
             let tone = match object.kind {
                 ObjectKind::Tree => {
@@ -286,6 +431,18 @@ impl Moment<'_> {
                         return None;
                     }
                 }
+                ObjectKind::Conifer => {
+                    let half = 0.5 * (1.0 - (up - 0.12) / 0.88);
+                    if up > 0.12 && (across - 0.5).abs() < half {
+                        // Facets: flat tones to the left and right, tiers above each other.
+                        let tier = (up * 4.0).fract();
+                        (if across < 0.5 { 0.75 } else { 1.15 }) * (0.75 + 0.35 * tier)
+                    } else if up <= 0.12 && (across - 0.5).abs() < 0.06 {
+                        0.7
+                    } else {
+                        return None;
+                    }
+                }
                 ObjectKind::Building => {
                     let pane =
                         (across * 6.0).fract() > 0.35 && (up * 5.0).fract() > 0.4 && up < 0.92;
@@ -293,7 +450,12 @@ impl Moment<'_> {
                 }
                 ObjectKind::Post => 1.0,
             };
-            Some([0, 1, 2].map(|i| object.colour[i] * sun[i] * tone))
+            let colour = [0, 1, 2].map(|i| object.colour[i] * sun[i] * tone);
+            Some(if snow > 0.0 {
+                blended(colour, SNOW, snow * up)
+            } else {
+                colour
+            })
         });
     }
 
@@ -345,6 +507,36 @@ impl Moment<'_> {
                 radius_px: 0.07 * (board.right - board.left),
                 colour: lamp,
             });
+        }
+    }
+}
+
+/// The walkway along a tunnel's wall.
+const KERB: Colour = [0.34, 0.34, 0.33];
+/// Snow in full light.
+const SNOW: Colour = [0.86, 0.88, 0.92];
+
+/// What stands there, beside its distance.
+enum Standing<'a> {
+    Roadside(RoadsideObject),
+    Vehicle(Vehicle),
+    /// A rail, its offset from the middle of the ego lane, and the station at its far end.
+    Rail(&'a Rail, f32, usize),
+}
+
+/// Paints the own car's bonnet over the foot of the picture.
+fn paint_bonnet(colour: Colour, canvas: &mut Canvas, mask: &mut [u8]) {
+    let (width, height) = (canvas.width as f32, canvas.height as f32);
+    for x in 0..canvas.width {
+        let across = (2.0 * (x as f32 + 0.5) / width - 1.0) / 0.92;
+        let arch = (1.0 - across * across).max(0.0).sqrt();
+        let top = height - 0.11 * height * arch;
+        for y in (top.max(0.0) as usize)..canvas.height {
+            let down = (y as f32 + 0.5 - top) / (0.11 * height);
+            let pixel = y * canvas.width + x;
+            canvas.light[pixel] = scaled(colour, 1.6 - down.clamp(0.0, 1.0));
+            canvas.depth_m[pixel] = 1.5;
+            mask[pixel] = 0;
         }
     }
 }

@@ -1,6 +1,7 @@
 //! Where the road runs: curvature, grade, and how the car moves along it. Random access by time, no end.
 
 use super::noise::{Draws, linear_noise, wander};
+use super::world::{Element, World};
 
 /// Distance between two knots of the piecewise linear curvature, metres.
 const CURVATURE_KNOT_M: f64 = 90.0;
@@ -18,6 +19,8 @@ pub struct Road {
     /// Mean speed of the car, m/s.
     pub speed_mps: f32,
     sway_m: f32,
+    /// Largest pitch of the body, radians.
+    pitch_max: f32,
 }
 
 /// Where the car is and how it is turned against the road's tangent.
@@ -35,14 +38,15 @@ pub struct Pose {
 
 impl Road {
     /// The road of a drive.
-    pub fn new(draws: Draws) -> Self {
+    pub fn new(draws: Draws, world: &World) -> Self {
         let curve = draws.range("curviness", 0.0, 1.0);
         Self {
             draws,
-            curvature_max: 0.0002 + 0.0042 * curve * curve,
-            grade_max: draws.range("hilliness", 0.0, 0.035),
+            curvature_max: world.when(Element::Curves, 0.0002 + 0.0042 * curve * curve, 0.0),
+            grade_max: world.when(Element::Grades, draws.range("hilliness", 0.0, 0.035), 0.0),
             speed_mps: draws.range("speed", 31.0, 14.0 + 10.0 * (1.0 - curve)),
-            sway_m: draws.range("sway", 0.05, 0.30),
+            sway_m: world.when(Element::Motion, draws.range("sway", 0.05, 0.30), 0.0),
+            pitch_max: world.when(Element::Motion, 0.008, 0.0),
         }
     }
 
@@ -73,8 +77,10 @@ impl Road {
             s_m,
             sway_m: sway(t_s),
             heading: slope / self.speed_mps,
-            pitch: 0.004 * wander(self.draws.seed("pitch"), t_s / 0.8)
-                + 0.004 * wander(self.draws.seed("pitch slow"), t_s / 3.0),
+            pitch: 0.5
+                * self.pitch_max
+                * (wander(self.draws.seed("pitch"), t_s / 0.8)
+                    + wander(self.draws.seed("pitch slow"), t_s / 3.0)),
         }
     }
 
@@ -142,7 +148,7 @@ mod tests {
 
     #[test]
     fn the_car_moves_forward_without_jumps() {
-        let road = Road::new(Draws(5));
+        let road = Road::new(Draws(5), &World::default());
         for i in 0..1_000 {
             let t = f64::from(i) * 0.1;
             let step = road.pose(t + 0.1).s_m - road.pose(t).s_m;
@@ -156,7 +162,7 @@ mod tests {
 
     #[test]
     fn the_road_begins_under_the_car_and_reaches_far() {
-        let road = Road::new(Draws(9));
+        let road = Road::new(Draws(9), &World::default());
         let ahead = road.ahead(&road.pose(12.0));
         assert!(ahead.nodes[117].z_m > 400.0, "{}", ahead.nodes[117].z_m);
         let near = ahead.at(0.2).expect("stations begin at 0");

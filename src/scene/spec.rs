@@ -3,29 +3,24 @@
 use std::str::FromStr;
 
 use super::conditions::{Condition, ConditionError};
+use super::world::{Look, World, WorldError};
 
-/// How the simulator's world looks.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Look {
-    /// The plain look that the shipped lane model is trained on.
-    Sim = 0,
-}
-
-impl Look {
-    const ALL: [(&'static str, Self); 1] = [("sim", Self::Sim)];
-}
+/// Size at which drives are rendered unless told otherwise, pixels: that of the built-in encoder.
+const SIZE_PX: (u32, u32) = (320, 160);
 
 /// A rendered drive as a frame source.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DriveSpec {
-    /// Look of the world.
-    pub look: Look,
+    /// Look, and elements left out.
+    pub world: World,
     /// Seed of the drive.
     pub seed: u64,
     /// Length, seconds.
     pub seconds: f64,
     /// Frames a second.
     pub fps: f64,
+    /// Width and height of the pictures, pixels.
+    pub size_px: (u32, u32),
     /// Conditions over the drive's time.
     pub conditions: Vec<Condition>,
 }
@@ -33,12 +28,12 @@ pub struct DriveSpec {
 /// A drive that cannot be read.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum SpecError {
-    /// The look is not one of ours.
-    #[error("scene {0:?}: no such look; looks are sim")]
-    Look(String),
+    /// The look or an element is not one of ours.
+    #[error("scene {0}")]
+    World(#[from] WorldError),
     /// A parameter is unknown or has a value out of range.
     #[error(
-        "scene parameter {0:?}: wanted seed=N, seconds=0.1..86400, fps=0.1..240 or condition=KIND:SEVERITY[@FROM-TO]"
+        "scene parameter {0:?}: wanted seed=N, seconds=0.1..86400, fps=0.1..240, size=WxH, without=ELEMENT or condition=KIND:SEVERITY[@FROM-TO]"
     )]
     Parameter(String),
     /// A condition cannot be read.
@@ -52,16 +47,12 @@ impl FromStr for DriveSpec {
     /// Reads what follows `scene:`.
     fn from_str(text: &str) -> Result<Self, SpecError> {
         let (name, parameters) = text.split_once('?').unwrap_or((text, ""));
-        let look = Look::ALL
-            .iter()
-            .find(|(known, _)| *known == name)
-            .ok_or_else(|| SpecError::Look(name.to_owned()))?
-            .1;
         let mut spec = Self {
-            look,
+            world: World::of(name.parse::<Look>()?),
             seed: 1,
             seconds: 60.0,
             fps: 10.0,
+            size_px: SIZE_PX,
             conditions: Vec::new(),
         };
         for parameter in parameters.split('&').filter(|p| !p.is_empty()) {
@@ -78,12 +69,21 @@ impl FromStr for DriveSpec {
                 "seed" => spec.seed = value.parse().map_err(|_| wrong())?,
                 "seconds" => spec.seconds = number(0.1..=86_400.0)?,
                 "fps" => spec.fps = number(0.1..=240.0)?,
+                "size" => spec.size_px = size(value).ok_or_else(wrong)?,
+                "without" => spec.world.without.push(value.parse()?),
                 "condition" => spec.conditions.push(value.parse()?),
                 _ => return Err(wrong()),
             }
         }
         Ok(spec)
     }
+}
+
+/// Reads `WxH`, each side from 16 to 8192.
+fn size(text: &str) -> Option<(u32, u32)> {
+    let side = |side: &str| side.parse().ok().filter(|s| (16..=8_192).contains(s));
+    let (width, height) = text.split_once('x')?;
+    Some((side(width)?, side(height)?))
 }
 
 #[cfg(test)]
@@ -93,9 +93,10 @@ mod tests {
 
     #[test]
     fn a_drive_is_read_with_its_defaults() {
-        let spec: DriveSpec = "sim?seed=7&condition=fog:3@20-40&condition=dirt:1"
+        let spec: DriveSpec = "sim?seed=7&condition=fog:3@20-40&condition=dirt:1&without=traffic"
             .parse()
             .unwrap();
+        assert_eq!(spec.world.without, [super::super::Element::Traffic]);
         assert_eq!((spec.seed, spec.seconds, spec.fps), (7, 60.0, 10.0));
         assert_eq!(spec.conditions.len(), 2);
     }
@@ -106,6 +107,8 @@ mod tests {
             ("moon", "\"moon\""),
             ("sim?speed=3", "speed=3"),
             ("sim?fps=0", "fps=0"),
+            ("sim?size=8x8", "size=8x8"),
+            ("sim?without=rain", "no such element; wanted curves"),
             ("sim?seconds=inf", "seconds=inf"),
             ("sim?condition=fog", "fog"),
         ] {

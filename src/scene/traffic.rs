@@ -5,6 +5,7 @@ use super::light::Colour;
 use super::markings::Layout;
 use super::noise::{Draws, hash, wander};
 use super::road::{Pose, Road};
+use super::world::{Element, World};
 
 /// Spacing of the grid that may hold one vehicle, metres.
 const CELL_M: f64 = 34.0;
@@ -33,10 +34,14 @@ pub struct Traffic {
 
 impl Traffic {
     /// The traffic of a drive.
-    pub fn new(draws: Draws) -> Self {
+    pub fn new(draws: Draws, world: &World) -> Self {
         Self {
             draws,
-            density: draws.range("traffic density", 0.0, 0.55),
+            density: world.when(
+                Element::Traffic,
+                draws.range("traffic density", 0.0, 0.55),
+                0.0,
+            ),
         }
     }
 

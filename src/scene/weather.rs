@@ -1,32 +1,32 @@
-//! Air, lens and sensor: what conditions do to the light of a scene before it becomes a frame.
+//! Air and light: what weather and night do to the light of a scene on its way to the lens.
 
-use std::sync::OnceLock;
-
-use super::Drive;
 use super::canvas::Canvas;
 use super::conditions::{
-    BLUR_SIGMA, ConditionKind, DIRT_COVER, FOG_EXTINCTION, GLARE_VEIL, NIGHT_DAYLIGHT, NOISE_SIGMA,
-    RAIN_DROPS, RAIN_EXTINCTION, RAIN_STREAKS, Severities, graded,
+    ConditionKind, FOG_EXTINCTION, NIGHT_DAYLIGHT, RAIN_EXTINCTION, RAIN_STREAKS, SNOW_EXTINCTION,
+    SNOW_FLAKES, Severities, graded,
 };
 use super::light::{Colour, blended, scaled};
-use super::noise::{hash, uniform, value_noise};
+use super::noise::uniform;
 use super::projection::Projection;
 
-/// Applies the conditions between scene and sensor, in the order light meets them; returns the exposure's gain.
+/// Applies night, haze, rain and snow in the air; `clear` is the extinction of the day's own air, 1/m.
 pub fn apply(
     canvas: &mut Canvas,
-    drive: &Drive,
     projection: &Projection,
     severities: &Severities,
+    clear: f32,
     time_seed: u32,
-) -> f32 {
+) {
     let daylight = graded(NIGHT_DAYLIGHT, severities.of(ConditionKind::Night));
     if daylight < 1.0 {
         night(canvas, projection, daylight);
     }
     let rain = severities.of(ConditionKind::Rain);
-    let extinction =
-        graded(FOG_EXTINCTION, severities.of(ConditionKind::Fog)) + graded(RAIN_EXTINCTION, rain);
+    let snow = severities.of(ConditionKind::Snow);
+    let extinction = clear
+        + graded(FOG_EXTINCTION, severities.of(ConditionKind::Fog))
+        + graded(RAIN_EXTINCTION, rain)
+        + graded(SNOW_EXTINCTION, snow);
     if extinction > 0.0 {
         haze(
             canvas,
@@ -42,67 +42,15 @@ pub fn apply(
             daylight.max(0.08),
             time_seed,
         );
-        drops(canvas, graded(RAIN_DROPS, rain), drive.seed);
     }
-    let veil = graded(GLARE_VEIL, severities.of(ConditionKind::Glare));
-    if veil > 0.0 {
-        glare(canvas, projection, veil, drive.seed);
+    if snow > 0.0 {
+        flakes(
+            canvas,
+            graded(SNOW_FLAKES, snow),
+            daylight.max(0.08),
+            time_seed,
+        );
     }
-    let cover = graded(DIRT_COVER, severities.of(ConditionKind::Dirt));
-    if cover > 0.0 {
-        dirt(canvas, cover, daylight, drive.seed);
-    }
-    let sigma_px = graded(BLUR_SIGMA, severities.of(ConditionKind::Blur)) * canvas.width as f32;
-    if sigma_px > 0.0 {
-        blur(canvas, sigma_px);
-    }
-    // The sensor follows the light, but only over about two stops.
-    (1.0 / (daylight + 0.25)).max(0.8) / 0.8
-}
-
-/// Turns linear light into 8-bit RGB `[H, W, 3]`: exposure, sRGB curve, sensor noise.
-pub fn expose(canvas: &Canvas, gain: f32, severities: &Severities, time_seed: u32, rgb: &mut [u8]) {
-    let dim = 1.0 - graded(NIGHT_DAYLIGHT, severities.of(ConditionKind::Night));
-    let sigma = graded(NOISE_SIGMA, severities.of(ConditionKind::Noise)) + 7.0 * dim;
-    let curve = srgb_curve();
-    for (i, (pixel, out)) in canvas.light.iter().zip(rgb.chunks_exact_mut(3)).enumerate() {
-        for (channel, out) in out.iter_mut().enumerate() {
-            let at = (pixel[channel] * gain).clamp(0.0, 1.0) * (CURVE_STEPS - 1) as f32;
-            let value = curve[at as usize];
-            *out = if sigma > 0.0 {
-                (value + sigma * normal(hash(time_seed, i as i32, channel as i32)) + 0.5)
-                    .clamp(0.0, 255.0) as u8
-            } else {
-                (value + 0.5) as u8
-            };
-        }
-    }
-}
-
-const CURVE_STEPS: usize = 8_192;
-
-/// The sRGB transfer curve (IEC 61966-2-1), 0..255.
-fn srgb_curve() -> &'static [f32] {
-    static CURVE: OnceLock<Vec<f32>> = OnceLock::new();
-    CURVE.get_or_init(|| {
-        (0..CURVE_STEPS)
-            .map(|i| {
-                let linear = i as f32 / (CURVE_STEPS - 1) as f32;
-                255.0
-                    * if linear <= 0.003_130_8 {
-                        12.92 * linear
-                    } else {
-                        1.055 * libm::powf(linear, 1.0 / 2.4) - 0.055
-                    }
-            })
-            .collect()
-    })
-}
-
-/// Nearly normal from one hash: the sum of its four bytes, scaled to variance 1 (Irwin-Hall of order 4).
-fn normal(bits: u32) -> f32 {
-    let sum: u32 = bits.to_le_bytes().iter().map(|&b| u32::from(b)).sum();
-    (sum as f32 - 510.0) / 147.8
 }
 
 fn night(canvas: &mut Canvas, projection: &Projection, daylight: f32) {
@@ -133,7 +81,8 @@ fn night(canvas: &mut Canvas, projection: &Projection, daylight: f32) {
     }
 }
 
-fn span(middle: f32, reach: f32, limit: usize) -> std::ops::Range<usize> {
+/// Pixels within `reach` of `middle`, inside `limit`.
+pub(super) fn span(middle: f32, reach: f32, limit: usize) -> std::ops::Range<usize> {
     let inside = |v: f32| v.clamp(0.0, limit as f32) as usize;
     inside(middle - reach)..inside(middle + reach + 1.0)
 }
@@ -177,105 +126,31 @@ fn streaks(canvas: &mut Canvas, count_320: f32, brightness: f32, time_seed: u32)
     }
 }
 
-/// Drops on the lens: each shows the scene small and upside down.
-fn drops(canvas: &mut Canvas, count: f32, seed: u32) {
-    let behind = canvas.light.clone();
-    let (width, height) = (canvas.width as f32, canvas.height as f32);
-    for i in 0..count.round() as usize {
-        let (cx, cy) = (uniform(seed, i, 11) * width, uniform(seed, i, 12) * height);
-        let radius = (0.008 + 0.024 * uniform(seed, i, 13)) * width;
-        for y in span(cy, radius, canvas.height) {
+/// Flakes: small soft discs, the nearer the larger, blurred by their fall.
+fn flakes(canvas: &mut Canvas, count_320: f32, brightness: f32, time_seed: u32) {
+    let scale = canvas.width as f32 / 320.0;
+    for i in 0..count_320 as usize {
+        let (cx, cy) = (
+            uniform(time_seed, i, 6) * canvas.width as f32,
+            uniform(time_seed, i, 7) * canvas.height as f32,
+        );
+        let near = uniform(time_seed, i, 8);
+        let radius = (0.5 + 1.8 * near * near) * scale;
+        for y in span(cy, 1.6 * radius, canvas.height) {
             for x in span(cx, radius, canvas.width) {
-                let (dx, dy) = (x as f32 - cx, y as f32 - cy);
-                let inside = 1.0 - (dx * dx + dy * dy) / (radius * radius);
+                let (dx, dy) = (
+                    (x as f32 + 0.5 - cx) / radius,
+                    (y as f32 + 0.5 - cy) / (1.6 * radius),
+                );
+                let inside = 1.0 - (dx * dx + dy * dy);
                 if inside > 0.0 {
-                    let from_x = (cx - 4.0 * dx).clamp(0.0, width - 1.0) as usize;
-                    let from_y = (cy - 4.0 * dy).clamp(0.0, height - 1.0) as usize;
                     let light = &mut canvas.light[y * canvas.width + x];
                     *light = blended(
                         *light,
-                        scaled(behind[from_y * canvas.width + from_x], 1.1),
-                        (3.0 * inside).min(0.9),
+                        scaled([0.92, 0.93, 0.95], brightness),
+                        0.75 * inside,
                     );
                 }
-            }
-        }
-    }
-}
-
-/// A low sun ahead: bloom around it and a veil over everything.
-fn glare(canvas: &mut Canvas, projection: &Projection, veil: f32, seed: u32) {
-    let (width, height) = (canvas.width as f32, canvas.height as f32);
-    let sun_x = projection.centre_x + (uniform(seed, 0, 21) - 0.5) * 0.5 * width;
-    let sun_y = projection.horizon_y - (0.10 + 0.15 * uniform(seed, 0, 22)) * height;
-    for y in 0..canvas.height {
-        for x in 0..canvas.width {
-            let (dx, dy) = ((x as f32 - sun_x) / width, (y as f32 - sun_y) / width);
-            let r2 = dx * dx + dy * dy;
-            let glow =
-                veil * (0.45 + 1.3 * 0.02 / (0.02 + r2)) + veil * 6.0 * 0.0006 / (0.0006 + r2);
-            let light = &mut canvas.light[y * canvas.width + x];
-            *light = [0, 1, 2].map(|c| light[c] + glow * [1.0, 0.93, 0.78][c]);
-        }
-    }
-}
-
-/// Smears that cover the wanted share of the lens, brown and nearly opaque.
-fn dirt(canvas: &mut Canvas, cover: f32, daylight: f32, seed: u32) {
-    let field = |x: usize, y: usize| {
-        let (u, v) = (
-            x as f64 / canvas.width as f64,
-            y as f64 / canvas.width as f64,
-        );
-        0.6 * value_noise(seed ^ 31, u * 9.0, v * 9.0)
-            + 0.4 * value_noise(seed ^ 32, u * 27.0, v * 27.0)
-    };
-    let mut sample: Vec<f32> = (0..canvas.height)
-        .step_by((canvas.height / 20).max(1))
-        .flat_map(|y| {
-            (0..canvas.width)
-                .step_by((canvas.width / 40).max(1))
-                .map(move |x| (x, y))
-        })
-        .map(|(x, y)| field(x, y))
-        .collect();
-    sample.sort_by(f32::total_cmp);
-    let edge = sample[((1.0 - cover) * (sample.len() - 1) as f32) as usize];
-    let opacity: Vec<f32> = (0..canvas.width * canvas.height)
-        .map(|i| {
-            ((field(i % canvas.width, i / canvas.width) - edge) / 0.04 + 0.5).clamp(0.0, 1.0) * 0.88
-        })
-        .collect();
-    let soil = scaled([0.11, 0.085, 0.06], daylight);
-    for (light, opacity) in canvas.light.iter_mut().zip(opacity) {
-        *light = blended(*light, soil, opacity);
-    }
-}
-
-/// Gaussian blur of the light, one axis after the other; pixels beyond the edge repeat it.
-fn blur(canvas: &mut Canvas, sigma_px: f32) {
-    let reach = (3.0 * sigma_px).ceil() as isize;
-    let mut kernel: Vec<f32> = (-reach..=reach)
-        .map(|i| libm::expf(-0.5 * (i as f32 / sigma_px) * (i as f32 / sigma_px)))
-        .collect();
-    let total: f32 = kernel.iter().sum();
-    kernel.iter_mut().for_each(|k| *k /= total);
-    let (width, height) = (canvas.width, canvas.height);
-    for (count, length, stride, step) in [(height, width, width, 1), (width, height, 1, width)] {
-        let mut line = vec![[0.0; 3]; length];
-        for i in 0..count {
-            let start = i * stride;
-            for (j, pixel) in line.iter_mut().enumerate() {
-                *pixel = canvas.light[start + j * step];
-            }
-            for j in 0..length {
-                let mut sum = [0.0; 3];
-                for (k, weight) in kernel.iter().enumerate() {
-                    let from =
-                        (j as isize + k as isize - reach).clamp(0, length as isize - 1) as usize;
-                    (0..3).for_each(|c| sum[c] += weight * line[from][c]);
-                }
-                canvas.light[start + j * step] = sum;
             }
         }
     }

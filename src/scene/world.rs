@@ -1,0 +1,189 @@
+//! Which world a drive is rendered in: its look, and which elements it is made of.
+
+use std::fmt;
+use std::str::FromStr;
+
+/// How the simulator's world looks. The same seed gives the same road, traffic and times in every look.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Look {
+    /// The plain look that the shipped lane models are trained on.
+    #[default]
+    Sim,
+    /// The plain look brought nearer to a real camera: finer and dirtier surfaces, hazy air, lens and sensor. Plays the
+    /// adapted simulation of a sim-to-real study.
+    Realistic,
+    /// Another simulator: other materials and light, a wide camera high in a van with its bonnet in view.
+    Game,
+}
+
+impl Look {
+    /// All looks.
+    pub const ALL: [Self; 3] = [Self::Sim, Self::Realistic, Self::Game];
+
+    /// The word a user types.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Sim => "sim",
+            Self::Realistic => "sim-realistic",
+            Self::Game => "game",
+        }
+    }
+}
+
+/// A look or an element that does not exist.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{found:?}: no such {what}; wanted {known}")]
+pub struct WorldError {
+    what: &'static str,
+    found: String,
+    known: String,
+}
+
+impl FromStr for Look {
+    type Err = WorldError;
+
+    fn from_str(text: &str) -> Result<Self, WorldError> {
+        let named = Self::ALL.into_iter().find(|look| look.name() == text);
+        named.ok_or_else(|| WorldError {
+            what: "look",
+            found: text.to_owned(),
+            known: Self::ALL.map(Self::name).join(", "),
+        })
+    }
+}
+
+impl fmt::Display for Look {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+/// What a scene is made of beyond a flat straight road with paint under an even sky. Each can be left out, to measure
+/// what it does for the lane model or the gap.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Element {
+    /// Curvature of the road.
+    Curves,
+    /// Rise and fall of the road.
+    Grades,
+    /// Sway in the lane, and pitch of the body.
+    Motion,
+    /// Worn paint.
+    Wear,
+    /// Yellow lines.
+    YellowPaint,
+    /// Arrows painted in the middle of lanes.
+    Symbols,
+    /// Grain of asphalt and verge.
+    Texture,
+    /// Wheel tracks and mended patches.
+    Patches,
+    /// Joints along and across the road.
+    Joints,
+    /// Far hills.
+    FarHills,
+    /// Clouds.
+    Clouds,
+    /// Shadows across the road.
+    Shadows,
+    /// Trees, buildings and posts.
+    Roadside,
+    /// Guard rails and concrete barriers.
+    Rails,
+    /// Other vehicles.
+    Traffic,
+    /// Exposure that differs from drive to drive and follows the light.
+    Exposure,
+}
+
+impl Element {
+    /// All elements.
+    pub const ALL: [Self; 16] = [
+        Self::Curves,
+        Self::Grades,
+        Self::Motion,
+        Self::Wear,
+        Self::YellowPaint,
+        Self::Symbols,
+        Self::Texture,
+        Self::Patches,
+        Self::Joints,
+        Self::FarHills,
+        Self::Clouds,
+        Self::Shadows,
+        Self::Roadside,
+        Self::Rails,
+        Self::Traffic,
+        Self::Exposure,
+    ];
+
+    /// The word a user types.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Curves => "curves",
+            Self::Grades => "grades",
+            Self::Motion => "motion",
+            Self::Wear => "wear",
+            Self::YellowPaint => "yellow-paint",
+            Self::Symbols => "symbols",
+            Self::Texture => "texture",
+            Self::Patches => "patches",
+            Self::Joints => "joints",
+            Self::FarHills => "far-hills",
+            Self::Clouds => "clouds",
+            Self::Shadows => "shadows",
+            Self::Roadside => "roadside",
+            Self::Rails => "rails",
+            Self::Traffic => "traffic",
+            Self::Exposure => "exposure",
+        }
+    }
+}
+
+impl FromStr for Element {
+    type Err = WorldError;
+
+    fn from_str(text: &str) -> Result<Self, WorldError> {
+        let named = Self::ALL.into_iter().find(|element| element.name() == text);
+        named.ok_or_else(|| WorldError {
+            what: "element",
+            found: text.to_owned(),
+            known: Self::ALL.map(Self::name).join(", "),
+        })
+    }
+}
+
+impl fmt::Display for Element {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+/// A look and the elements left out of it.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct World {
+    /// The look.
+    pub look: Look,
+    /// Elements left out.
+    pub without: Vec<Element>,
+}
+
+impl World {
+    /// The whole world of a look.
+    pub fn of(look: Look) -> Self {
+        Self {
+            look,
+            without: Vec::new(),
+        }
+    }
+
+    /// Whether an element is there.
+    pub fn has(&self, element: Element) -> bool {
+        !self.without.contains(&element)
+    }
+
+    /// `value` where the element is there, else `absent`.
+    pub fn when<T>(&self, element: Element, value: T, absent: T) -> T {
+        if self.has(element) { value } else { absent }
+    }
+}
