@@ -24,6 +24,7 @@ pub enum Command {
     Calibrate(CalibrateArgs),
     Compare(CompareArgs),
     Scene(SceneArgs),
+    Evaluate(EvaluateArgs),
 }
 
 /// How sources are named, for the help of every command that takes one.
@@ -138,6 +139,43 @@ pub enum Format {
 #[derive(Clone, Debug)]
 pub struct Metrics(pub Vec<Metric>);
 
+/// Judge lane models on scenes that no training has seen
+///
+/// Lane IoU of every model in every look of the world, in plain day and under every condition at severities 1 to 5, and
+/// how much of the encoder's energy lies on lanes. Each model is asked at its own size.
+#[derive(Debug, Args)]
+#[command(
+    after_help = "Example:\n  gapwatch evaluate --model a.onnx b.onnx --scenes 50 --format json"
+)]
+pub struct EvaluateArgs {
+    /// ONNX files, each with a .toml of the same name beside it that names its lane output; left out = the built-in model
+    #[arg(long, value_name = "FILE.onnx", num_args = 1..)]
+    pub model: Vec<PathBuf>,
+    /// What to evaluate; left out = everything
+    #[arg(long, value_enum, value_name = "KEY")]
+    pub only: Option<EvaluateKey>,
+    /// Few scenes: seconds instead of minutes, with wide intervals
+    #[arg(long)]
+    pub quick: bool,
+    /// Scenes a look, condition and severity
+    #[arg(long, value_name = "N", conflicts_with = "quick", value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    pub scenes: Option<u32>,
+    /// How the result is written
+    #[arg(long, value_enum, default_value = "table")]
+    pub format: Format,
+    /// File that gets the result as JSON too
+    #[arg(long, value_name = "FILE")]
+    pub out: Option<PathBuf>,
+}
+
+/// Keys of an evaluation.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum EvaluateKey {
+    /// Lane IoU over looks, conditions and severities
+    #[value(name = "lane_iou")]
+    LaneIou,
+}
+
 /// The model, if not the built-in one
 #[derive(Debug, Args)]
 #[command(next_help_heading = "Model")]
@@ -148,6 +186,9 @@ pub struct ModelArgs {
     /// Names of one to three tapped values
     #[arg(long, value_name = "A,B,C", value_delimiter = ',')]
     pub taps: Option<Vec<String>>,
+    /// Name of the lane head's output, a logit a pixel of the input; only inspect and evaluate run it
+    #[arg(long, value_name = "NAME")]
+    pub lane: Option<String>,
     /// Input size, pixels
     #[arg(long = "size", id = "model-size", value_name = "WxH")]
     pub size: Option<String>,
@@ -167,6 +208,7 @@ impl ModelArgs {
     pub fn options(&self) -> ModelOptions {
         ModelOptions {
             taps: self.taps.clone(),
+            lane: self.lane.clone(),
             size: self.size.clone(),
             mean: self.mean,
             std: self.std,

@@ -2,6 +2,7 @@
 
 mod calibrate;
 mod compare;
+mod evaluate;
 mod progress;
 mod replay;
 mod scene;
@@ -25,6 +26,7 @@ pub fn run(command: Command, out: &mut dyn Write) -> anyhow::Result<u8> {
         Command::Calibrate(args) => calibrate::run(&args, out),
         Command::Compare(args) => compare::run(&args, out),
         Command::Scene(args) => scene::run(&args, out),
+        Command::Evaluate(args) => evaluate::run(&args, out),
     }
 }
 

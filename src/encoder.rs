@@ -1,7 +1,7 @@
 //! Encoder input → feature maps of the tapped blocks: the only file that names tract.
 //!
 //! Any ONNX encoder with one picture input `[1, 3, H, W]` will do. The taps are asked for by name, and whatever does not
-//! lead to them (a lane head) is dropped before the graph is optimised.
+//! lead to them (a lane head, unless it is asked for too) is dropped before the graph is optimised.
 
 use std::cell::Cell;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -63,6 +63,20 @@ pub enum EncoderError {
         /// Its shape.
         found: String,
     },
+    /// A lane head that does not answer pixel by pixel.
+    #[error("{model}: lane output {lane} has shape {found}; wanted [1, 1, {height}, {width}]")]
+    LaneShape {
+        /// File or built-in name.
+        model: String,
+        /// Name of the output.
+        lane: String,
+        /// Its shape.
+        found: String,
+        /// Height of the input, pixels.
+        height: usize,
+        /// Width of the input, pixels.
+        width: usize,
+    },
 }
 
 /// A loaded model, shared between threads.
@@ -70,6 +84,7 @@ pub enum EncoderError {
 pub struct Encoder {
     plan: Arc<TypedRunnableModel>,
     taps: Vec<String>,
+    has_lane: bool,
     input_shape: [usize; 4],
     sha256: String,
 }
@@ -88,7 +103,19 @@ impl Encoder {
     /// # Errors
     /// When the file is no ONNX model, a tap is unknown, or shapes do not fit.
     pub fn load(spec: &ModelSpec) -> Result<Self, EncoderError> {
-        contained(|| Self::load_trusting(spec)).unwrap_or_else(|why| {
+        Self::load_for(spec, None)
+    }
+
+    /// Loads a model for its taps and its lane head, if the model's options name one.
+    ///
+    /// # Errors
+    /// As [`Encoder::load`], and when the lane head does not answer with one logit a pixel of the input.
+    pub fn load_with_lane(spec: &ModelSpec) -> Result<Self, EncoderError> {
+        Self::load_for(spec, spec.lane.as_ref())
+    }
+
+    fn load_for(spec: &ModelSpec, lane: Option<&String>) -> Result<Self, EncoderError> {
+        contained(|| Self::load_trusting(spec, lane)).unwrap_or_else(|why| {
             Err(EncoderError::Onnx {
                 model: spec.name.clone(),
                 why,
@@ -96,7 +123,7 @@ impl Encoder {
         })
     }
 
-    fn load_trusting(spec: &ModelSpec) -> Result<Self, EncoderError> {
+    fn load_trusting(spec: &ModelSpec, lane: Option<&String>) -> Result<Self, EncoderError> {
         let broken = |why: &dyn std::fmt::Display| EncoderError::Onnx {
             model: spec.name.clone(),
             why: why.to_string(),
@@ -122,6 +149,7 @@ impl Encoder {
         let outlets = spec
             .taps
             .iter()
+            .chain(lane)
             .map(|tap| {
                 parsed
                     .outlets_by_name
@@ -186,18 +214,20 @@ impl Encoder {
         let encoder = Self {
             plan,
             taps: spec.taps.clone(),
+            has_lane: lane.is_some(),
             input_shape,
             sha256: Sha256::digest(&spec.onnx)
                 .iter()
                 .map(|byte| format!("{byte:02x}"))
                 .collect(),
         };
-        encoder.check_shapes(&spec.name)?;
+        encoder.check_shapes(&spec.name, lane)?;
         Ok(encoder)
     }
 
-    fn check_shapes(&self, model: &str) -> Result<(), EncoderError> {
-        for (index, tap) in self.taps.iter().enumerate() {
+    fn check_shapes(&self, model: &str, lane: Option<&String>) -> Result<(), EncoderError> {
+        let [_, _, height, width] = self.input_shape;
+        for (index, value) in self.taps.iter().chain(lane).enumerate() {
             let fact = self
                 .plan
                 .model()
@@ -206,21 +236,35 @@ impl Encoder {
                     model: model.to_owned(),
                     why: root(&e),
                 })?;
-            let fits = fact
-                .shape
-                .as_concrete()
-                .is_some_and(|s| matches!(*s, [1, c, h, w] if c > 0 && h > 1 && w > 1))
-                && fact.datum_type == f32::datum_type();
-            if !fits {
-                let found = format!("{:?} of {:?}", fact.shape, fact.datum_type);
+            let is_f32 = fact.datum_type == f32::datum_type();
+            let shape = fact.shape.as_concrete();
+            let found = || format!("{:?} of {:?}", fact.shape, fact.datum_type);
+            if index == self.taps.len() {
+                if !is_f32 || shape != Some(&[1, 1, height, width]) {
+                    return Err(EncoderError::LaneShape {
+                        model: model.to_owned(),
+                        lane: value.clone(),
+                        found: found(),
+                        height,
+                        width,
+                    });
+                }
+            } else if !is_f32
+                || !shape.is_some_and(|s| matches!(*s, [1, c, h, w] if c > 0 && h > 1 && w > 1))
+            {
                 return Err(EncoderError::TapShape {
                     model: model.to_owned(),
-                    tap: tap.clone(),
-                    found,
+                    tap: value.clone(),
+                    found: found(),
                 });
             }
         }
         Ok(())
+    }
+
+    /// Whether the lane head's logits come after the feature maps.
+    pub fn has_lane(&self) -> bool {
+        self.has_lane
     }
 
     /// Hash of the ONNX file.
@@ -258,7 +302,8 @@ pub struct EncoderSession {
 }
 
 impl EncoderSession {
-    /// Runs the encoder on `[3, H, W]` normalised RGB; the feature maps come in the order of the taps.
+    /// Runs the encoder on `[3, H, W]` normalised RGB; the feature maps come in the order of the taps, the lane head's
+    /// logits `[1, H, W]` last if it was loaded.
     ///
     /// # Errors
     /// The reason in words when tract fails.

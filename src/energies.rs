@@ -3,6 +3,7 @@
 use crate::attention::{EnergyMap, common_size, energy_from_features};
 use crate::encoder::{Encoder, EncoderError, EncoderSession};
 use crate::frame::{Frame, Picture};
+use crate::lane::LaneMask;
 use crate::preprocess::{Preprocessing, Preprocessor};
 use crate::undefined::Undefined;
 
@@ -13,6 +14,7 @@ pub struct EnergyStage {
     taps: Vec<String>,
     common: (usize, usize),
     maps: Vec<EnergyMap>,
+    lane: Option<LaneMask>,
 }
 
 impl EnergyStage {
@@ -27,6 +29,7 @@ impl EnergyStage {
             taps: encoder.taps().to_vec(),
             common: common_size(preprocessing.width, preprocessing.height),
             maps: vec![EnergyMap::default(); encoder.taps().len()],
+            lane: encoder.has_lane().then(LaneMask::default),
         })
     }
 
@@ -44,11 +47,27 @@ impl EnergyStage {
             .picture
             .as_ref()
             .map_err(|error| Undefined::Corrupt(error.to_string()))?;
+        self.energies_of(picture)
+    }
+
+    /// Energy maps of a picture, one a tap, each of its block's own size.
+    ///
+    /// # Errors
+    /// Why it cannot be judged.
+    pub fn energies_of(&mut self, picture: &Picture) -> Result<&[EnergyMap], Undefined> {
         let input = self.preprocessor.input(picture)?;
         let features = self.session.run(input).map_err(Undefined::Encoder)?;
         for ((tap, features), map) in self.taps.iter().zip(&features).zip(&mut self.maps) {
             energy_from_features(tap, features, map)?;
         }
+        if let (Some(lane), Some(logits)) = (&mut self.lane, features.get(self.taps.len())) {
+            lane.read(logits);
+        }
         Ok(&self.maps)
+    }
+
+    /// The lane head's answer to the last picture that was judged; `None` of an encoder loaded without it.
+    pub fn lane(&self) -> Option<&LaneMask> {
+        self.lane.as_ref()
     }
 }

@@ -28,6 +28,8 @@ pub mod preprocess;
 pub mod encoder;
 
 pub mod attention;
+pub mod lane;
+
 pub mod energies;
 
 pub mod histogram;
@@ -48,6 +50,9 @@ pub mod survey;
 
 pub mod calibration;
 pub mod comparison;
+
+pub mod evaluation;
+pub mod heat;
 
 // What all of them use.
 pub mod journal;

@@ -24,6 +24,8 @@ pub struct ModelSpec {
     pub onnx: Cow<'static, [u8]>,
     /// Names of the tapped values, 1 to [`TAPS_MAX`].
     pub taps: Vec<String>,
+    /// Name of the lane head's output, if it is known: a logit a pixel of the input.
+    pub lane: Option<String>,
     /// Size, crop and normalisation of the input.
     pub preprocessing: Preprocessing,
 }
@@ -34,6 +36,8 @@ pub struct ModelSpec {
 pub struct ModelOptions {
     /// Names of the tapped values.
     pub taps: Option<Vec<String>>,
+    /// Name of the lane head's output.
+    pub lane: Option<String>,
     /// Input size, `WxH` pixels.
     pub size: Option<String>,
     /// Mean of red, green, blue, of values 0..1.
@@ -56,7 +60,7 @@ pub enum ModelError {
         error: std::io::Error,
     },
     /// The options beside the model cannot be read.
-    #[error("{}: {why}; wanted taps, size, mean, std or crop", path.display())]
+    #[error("{}: {why}; wanted taps, lane, size, mean, std or crop", path.display())]
     Options {
         /// Which file.
         path: PathBuf,
@@ -78,6 +82,7 @@ impl ModelOptions {
     fn or(self, other: Self) -> Self {
         Self {
             taps: self.taps.or(other.taps),
+            lane: self.lane.or(other.lane),
             size: self.size.or(other.size),
             mean: self.mean.or(other.mean),
             std: self.std.or(other.std),
@@ -134,6 +139,13 @@ impl ModelSpec {
         {
             return Err(wrong("wanted 1 to 3 taps, each another"));
         }
+        if options
+            .lane
+            .as_ref()
+            .is_some_and(|lane| taps.contains(lane))
+        {
+            return Err(wrong("the lane output is one of the taps; wanted another"));
+        }
         let size = options.size.ok_or_else(|| {
             wrong("no input size; wanted --size WxH or size in a .toml beside it")
         })?;
@@ -171,6 +183,7 @@ impl ModelSpec {
             name,
             onnx,
             taps,
+            lane: options.lane,
             preprocessing: Preprocessing {
                 width,
                 height,
@@ -236,6 +249,10 @@ mod tests {
                 "crop",
             ),
             (format!("tips = [\"a\"]\n{rest}"), "tips"),
+            (
+                format!("taps = [\"a\"]\nlane = \"a\"\n{rest}"),
+                "one of the taps",
+            ),
         ] {
             let said = complaint(&options);
             assert!(said.contains(part), "{said}");
@@ -246,5 +263,6 @@ mod tests {
     fn the_built_in_model_is_complete() {
         let spec = ModelSpec::new(None, ModelOptions::default()).unwrap();
         assert_eq!(spec.taps, ["e2", "e3", "e4"]);
+        assert_eq!(spec.lane.as_deref(), Some("lane"));
     }
 }

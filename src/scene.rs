@@ -41,6 +41,14 @@ use sensor::Sensor;
 use surroundings::Surroundings;
 use traffic::Traffic;
 
+/// Seed of the drive and time in it, seconds, of scene `index` of the scene set `set`: one moment of a drive of its own.
+///
+/// Seeds of scene sets lie above 32 bits: no scene is a moment of a drive that a user can name by a small seed.
+pub fn scene_moment(set: u32, index: u32) -> (u64, f64) {
+    let seed = (u64::from(set) + 1) << 32 | u64::from(index);
+    (seed, f64::from(index % 600))
+}
+
 /// A drive that can be rendered at any time.
 #[derive(Clone, Debug)]
 pub struct Drive {

@@ -6,7 +6,7 @@ use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
-use gapwatch::scene::{ConditionKind, Drive, Element, Look, Renderer, World};
+use gapwatch::scene::{ConditionKind, Drive, Element, Look, Renderer, World, scene_moment};
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{ExtendedColorType, ImageEncoder};
 use rayon::prelude::*;
@@ -75,9 +75,7 @@ fn render_scene(
     renderer: &mut Renderer,
     folder: &Path,
 ) -> anyhow::Result<String> {
-    // Seeds of scene sets lie above 32 bits: no scene is a moment of a drive that a user can name by a small seed.
-    let seed = (u64::from(args.seed) + 1) << 32 | u64::from(index);
-    let t_s = f64::from(index % 600);
+    let (seed, t_s) = scene_moment(args.seed, index);
     let world = World {
         look: args.look,
         without: args.without.clone(),

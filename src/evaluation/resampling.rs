@@ -1,0 +1,69 @@
+//! Intervals by resampling whole scenes.
+
+use crate::lane::Overlap;
+
+/// Resamples drawn for an interval: the ends of a 95 % interval then rest on 25 each.
+const ROUNDS: usize = 1_000;
+
+/// 95 % percentile interval of the pooled intersection over union, from resampling scenes with replacement; the same for
+/// the same scenes on every machine. `None` when no resample holds any lane.
+pub fn interval(scenes: &[Overlap]) -> Option<(f64, f64)> {
+    let mut dice = SplitMix64(0);
+    let mut ious: Vec<f64> = (0..ROUNDS)
+        .filter_map(|_| Overlap::iou((0..scenes.len()).map(|_| scenes[dice.below(scenes.len())])))
+        .collect();
+    ious.sort_by(f64::total_cmp);
+    let (low, high) = (ious.len() * 25 / 1_000, ious.len() * 975 / 1_000);
+    Some((*ious.get(low)?, *ious.get(high.saturating_sub(1))?))
+}
+
+/// Random numbers after Steele, Lea and Flood, *Fast Splittable Pseudorandom Number Generators* (2014).
+struct SplitMix64(u64);
+
+impl SplitMix64 {
+    fn next(&mut self) -> u64 {
+        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+        z ^ (z >> 31)
+    }
+
+    /// Uniform from 0 to below `limit`.
+    fn below(&mut self, limit: usize) -> usize {
+        // The high half of a 64 by 64 bit product is below `limit`.
+        #[allow(clippy::cast_possible_truncation)]
+        {
+            ((u128::from(self.next()) * limit as u128) >> 64) as usize
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, clippy::float_cmp)]
+    use super::*;
+
+    #[test]
+    fn scenes_that_are_all_alike_leave_no_doubt() {
+        let scenes = [Overlap { both: 3, either: 4 }; 9];
+        assert_eq!(interval(&scenes), Some((0.75, 0.75)));
+        assert_eq!(interval(&[]), None);
+    }
+
+    #[test]
+    fn the_interval_of_yes_and_no_is_that_of_the_binomial() {
+        // 100 scenes of one pixel, half of them right: 0.5 +- 1.96 x 0.05.
+        let scenes: Vec<Overlap> = (0..100)
+            .map(|i| Overlap {
+                both: i % 2,
+                either: 1,
+            })
+            .collect();
+        let (low, high) = interval(&scenes).unwrap();
+        assert!(
+            (low - 0.40).abs() <= 0.02 && (high - 0.60).abs() <= 0.02,
+            "{low} {high}"
+        );
+    }
+}

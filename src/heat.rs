@@ -1,0 +1,1 @@
+//! Energies as pictures: a perceptually ordered colour map, and sheets of panels.
