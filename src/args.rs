@@ -24,12 +24,14 @@ pub enum Command {
     Calibrate(CalibrateArgs),
     Compare(CompareArgs),
     Scene(SceneArgs),
+    Inspect(InspectArgs),
     Evaluate(EvaluateArgs),
 }
 
 /// How sources are named, for the help of every command that takes one.
 const SOURCES: &str = "Sources (in quotes: shells take ? and & for themselves):
-  scene:sim[?seed=7&seconds=60&fps=10&condition=fog:3@20-40]   rendered drive; severity reached at 20 s, gone at 40 s
+  scene:sim[?seed=7&seconds=60&fps=10&condition=fog:3@20-40]   rendered drive; severity reached at 20 s, gone at 40 s;
+                                                               also size=WxH, without=ELEMENT, looks sim-realistic, game
   random:[seed=1&frames=60]                                    random pixels
   DIR[?fps=10]                                                 folder of PNG or JPEG images in name order, 10 a second
                                                                unless ?fps= says otherwise
@@ -138,6 +140,25 @@ pub enum Format {
 /// The metrics asked for.
 #[derive(Clone, Debug)]
 pub struct Metrics(pub Vec<Metric>);
+
+/// Show where the encoder looks, frame by frame
+///
+/// DIR gets one sheet a frame, NNNNNN.png: what the model sees with the lanes it marks in blue-green, then the energies
+/// of each tap over the darkened picture, brighter is more, each from 0 to its own peak. inspect.json has the numbers.
+#[derive(Debug, Args)]
+#[command(after_help = format!("{SOURCES}\n\nExample:\n  gapwatch inspect drive.mp4 --out sheets --count 6"))]
+pub struct InspectArgs {
+    /// What to look at
+    pub source: String,
+    /// Folder to write; must not exist or be empty
+    #[arg(long, value_name = "DIR")]
+    pub out: PathBuf,
+    /// How many frames, evenly spread over the source
+    #[arg(long, value_name = "N", default_value_t = 12, value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    pub count: u32,
+    #[command(flatten)]
+    pub model: ModelArgs,
+}
 
 /// Judge lane models on scenes that no training has seen
 ///

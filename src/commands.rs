@@ -3,6 +3,9 @@
 mod calibrate;
 mod compare;
 mod evaluate;
+mod inspect;
+mod new_folder;
+mod pictures;
 mod progress;
 mod replay;
 mod scene;
@@ -26,6 +29,7 @@ pub fn run(command: Command, out: &mut dyn Write) -> anyhow::Result<u8> {
         Command::Calibrate(args) => calibrate::run(&args, out),
         Command::Compare(args) => compare::run(&args, out),
         Command::Scene(args) => scene::run(&args, out),
+        Command::Inspect(args) => inspect::run(&args, out),
         Command::Evaluate(args) => evaluate::run(&args, out),
     }
 }

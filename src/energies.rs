@@ -66,6 +66,11 @@ impl EnergyStage {
         Ok(&self.maps)
     }
 
+    /// What the encoder saw of the last picture.
+    pub fn seen(&self) -> Picture {
+        self.preprocessor.seen()
+    }
+
     /// The lane head's answer to the last picture that was judged; `None` of an encoder loaded without it.
     pub fn lane(&self) -> Option<&LaneMask> {
         self.lane.as_ref()

@@ -202,7 +202,9 @@ impl Judge {
         let maps = self.stage.energies_of(picture)?;
         if self.upsamplers.is_empty() {
             let sizes = maps.iter().map(|map| (map.width, map.height));
-            self.upsamplers = sizes.map(|from| Upsampler::new(from, common_size)).collect();
+            self.upsamplers = sizes
+                .map(|from| Upsampler::new(from, common_size))
+                .collect();
         }
         let mut common = EnergyMap::default();
         let taps = maps.iter().zip(&self.upsamplers).map(|(map, upsampler)| {

@@ -125,6 +125,27 @@ impl Preprocessor {
     }
 }
 
+impl Preprocessor {
+    /// What the encoder saw of the last picture: cropped and resized, in 8 bits.
+    pub fn seen(&self) -> Picture {
+        let plane = self.of.width as usize * self.of.height as usize;
+        let mut rgb = Vec::with_capacity(3 * plane);
+        for pixel in 0..plane {
+            for channel in 0..3 {
+                let value = self.input[channel * plane + pixel] * self.of.std[channel]
+                    + self.of.mean[channel];
+                #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)]
+                rgb.push((255.0 * value).round().clamp(0.0, 255.0) as u8);
+            }
+        }
+        Picture {
+            width: self.of.width,
+            height: self.of.height,
+            rgb,
+        }
+    }
+}
+
 /// Refuses pictures that no road makes.
 fn check(picture: &Picture) -> Result<(), Undefined> {
     let (width, height) = (picture.width, picture.height);

@@ -52,6 +52,8 @@ class Card:
         height, width = self.size.height, self.size.width
         kind = {
             "enet-sad": "ENet-SAD encoder (Hou et al., ICCV 2019), ReLU in place of PReLU",
+            "small": "small ENet-SAD encoder: a stem of 4x4 patches, a quarter of the channels, three "
+            "bottlenecks a block with dilations 1, 2, 4",
             "lite": "lite ENet-SAD encoder: stride-2 convolutions in place of pooling, half the "
             "channels, four bottlenecks a block with dilations 1, 2, 4, 8",
         }[self.model]
@@ -147,7 +149,7 @@ def write_settings(file: Path, size: Size, normalisation: Normalisation) -> None
     std = ", ".join(f"{value:.4f}" for value in normalisation.std)
     taps = ", ".join(f'"{tap}"' for tap in TAPS)
     file.write_text(
-        f'taps = [{taps}]\nsize = "{size}"\nmean = [{mean}]\nstd = [{std}]\n', encoding="utf-8"
+        f'taps = [{taps}]\nlane = "lane"\nsize = "{size}"\nmean = [{mean}]\nstd = [{std}]\n', encoding="utf-8"
     )
 
 

@@ -1,4 +1,4 @@
-"""The lane networks: an ENet-SAD encoder, a lite one, and the lane head on top of either.
+"""The lane networks: an ENet-SAD encoder, a lite and a small one, and the lane head on top.
 
 Shapes are `[N, C, H, W]`. The encoder hands back four blocks: `e1` at a quarter of the input in
 each direction, `e2`, `e3`, `e4` at an eighth; each is the block's output after its ReLU. gapwatch
@@ -18,13 +18,15 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 from torch.nn.utils.fusion import fuse_conv_bn_eval
 
-MODELS = ("lite", "enet-sad")
+MODELS = ("lite", "small", "enet-sad")
 TAPS = ("e2", "e3", "e4")
 
 # First gain of the batch norm that ends each residual branch. Below 1 it keeps the sum over a
-# chain of bottlenecks, and with it the energies, small: chosen by trial, and the median peak energy
-# of a trained lite model stays between a hundred and fifteen hundred.
+# chain of bottlenecks small, and training starts faster: chosen by trial.
 RESIDUAL_GAIN = 0.25
+# Median peak energy that `set_tap_gains` gives every tap. The published attention is a softmax at a
+# temperature of 10; it keeps a usable number of pixels where 10 is about a fifth of the peak.
+PEAK_ENERGY = 50.0
 
 
 class Blocks(NamedTuple):
@@ -107,6 +109,7 @@ class LiteEncoder(nn.Module):
     """
 
     channels = (32, 64)
+    head_width = 32
 
     def __init__(self, share_weights: bool = False) -> None:
         super().__init__()
@@ -126,6 +129,37 @@ class LiteEncoder(nn.Module):
     @staticmethod
     def _block(channels: int) -> nn.Sequential:
         return nn.Sequential(*(Bottleneck(channels, channels // 4, d) for d in (1, 2, 4, 8)))
+
+    def forward(self, image: Tensor) -> Blocks:
+        e1 = self.e1(image)
+        e2 = self.e2(self.down(e1))
+        e3 = self.e3(e2)
+        return Blocks(e1, e2, e3, self.e4(e3))
+
+
+class SmallEncoder(nn.Module):
+    """A quarter of ENet-SAD's channels, three bottlenecks a block.
+
+    The stem cuts the picture into patches of 4x4 pixels: its windows do not overlap, so an inference
+    engine that unrolls windows into columns copies every pixel once and not nine times.
+    """
+
+    channels = (16, 32)
+    head_width = 16
+
+    def __init__(self, share_weights: bool = False) -> None:
+        super().__init__()
+        quarter, eighth = self.channels
+        self.e1 = nn.Sequential(
+            ConvBn(3, quarter, 4, stride=4, padding=0), Bottleneck(quarter, quarter)
+        )
+        self.down = ConvBn(quarter, eighth, 3, stride=2)
+        blocks = [
+            nn.Sequential(*(Bottleneck(eighth, eighth // 2, d) for d in (1, 2, 4))) for _ in TAPS
+        ]
+        if share_weights:
+            share_convolutions(blocks)
+        self.e2, self.e3, self.e4 = blocks
 
     def forward(self, image: Tensor) -> Blocks:
         e1 = self.e1(image)
@@ -178,6 +212,7 @@ class EnetSadEncoder(nn.Module):
     """
 
     channels = (64, 128)
+    head_width = 32
 
     def __init__(self, share_weights: bool = True) -> None:
         super().__init__()
@@ -222,7 +257,7 @@ class LaneHead(nn.Module):
     cannot draw the markings far ahead, which are one or two pixels wide.
     """
 
-    def __init__(self, quarter: int, eighth: int, width: int = 32) -> None:
+    def __init__(self, quarter: int, eighth: int, width: int) -> None:
         super().__init__()
         self.near = ConvBn(quarter, width, 1, relu=False)
         self.far = ConvBn(eighth, width, 1, relu=False)
@@ -248,17 +283,25 @@ class LaneNetwork(nn.Module):
     def __init__(self, model: str, share_weights: bool | None = None) -> None:
         """`share_weights=None` takes what the model is usually built with."""
         super().__init__()
-        kinds = {"lite": LiteEncoder, "enet-sad": EnetSadEncoder}
+        kinds = {"lite": LiteEncoder, "small": SmallEncoder, "enet-sad": EnetSadEncoder}
         if model not in kinds:
             raise ValueError(f"no model named {model!r}; there are {', '.join(MODELS)}")
         self.share_weights = (model == "enet-sad") if share_weights is None else share_weights
         self.encoder = kinds[model](self.share_weights)
-        self.head = LaneHead(*self.encoder.channels)
+        self.head = LaneHead(*self.encoder.channels, self.encoder.head_width)
+        # Factors on the activations of e2, e3, e4 as they leave the network, not as it uses them.
+        self.register_buffer("tap_gains", torch.ones(len(TAPS)))
 
     def forward(self, image: Tensor) -> tuple[Tensor, Blocks]:
-        """Lane logits `[N, 1, H, W]` and the encoder's blocks."""
+        """Lane logits `[N, 1, H, W]` and the encoder's blocks, those of the taps times their gains."""
         blocks = self.encoder(image)
-        return self.head(blocks.e1, blocks.e4), blocks
+        taps = (block * gain for block, gain in zip(blocks[1:], self.tap_gains, strict=True))
+        return self.head(blocks.e1, blocks.e4), Blocks(blocks.e1, *taps)
+
+    def set_tap_gains(self, median_peaks: dict[str, float]) -> None:
+        """Scales every tap so that a median peak energy as measured becomes `PEAK_ENERGY`."""
+        for index, tap in enumerate(TAPS):
+            self.tap_gains[index] *= (PEAK_ENERGY / median_peaks[tap]) ** 0.5
 
 
 class ExportedNetwork(nn.Module):

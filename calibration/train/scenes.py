@@ -107,25 +107,40 @@ def sha256_of(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def render(program: Path, folder: Path, seed: int, count: int, size: Size) -> Path:
+@dataclass(frozen=True)
+class World:
+    """What scenes are rendered of: a look, and the elements left out of it."""
+
+    look: str = "sim"
+    without: tuple[str, ...] = ()
+
+    def __str__(self) -> str:
+        return "-without-".join((self.look, *self.without))
+
+
+def render(
+    program: Path, folder: Path, seed: int, count: int, size: Size, world: World
+) -> Path:
     """Renders `count` scenes below `folder`, or finds them there; returns the set's own folder.
 
     A set is used again only when it is complete and came from the same program (by SHA-256), seed,
-    count and size.
+    count, size and world.
     """
     wanted = {
         "program_sha256": sha256_of(program),
         "seed": seed,
         "count": count,
         "size": str(size),
+        "world": str(world),
     }
-    target = folder / f"{size}-seed{seed}-{count}"
+    target = folder / f"{world}-{size}-seed{seed}-{count}"
     if _note(target) == wanted and _count(target) == (count, count):
         print(f"scenes  {target}: {count} of seed {seed}, rendered earlier", flush=True)
         return target
     shutil.rmtree(target, ignore_errors=True)
     command = [str(program), "scene", "--out", str(target), "--count", str(count)]
-    command += ["--seed", str(seed), "--size", str(size)]
+    command += ["--seed", str(seed), "--size", str(size), "--look", world.look]
+    command += [word for element in world.without for word in ("--without", element)]
     print(f"scenes  {target}: rendering {count} of seed {seed}", flush=True)
     try:
         done = subprocess.run(command, stdout=subprocess.DEVNULL, check=False)

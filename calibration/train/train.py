@@ -13,6 +13,7 @@ from __future__ import annotations
 import argparse
 import math
 import os
+import pickle
 import shlex
 import shutil
 import sys
@@ -34,6 +35,7 @@ from scenes import (
     SceneError,
     SceneSet,
     Size,
+    World,
     load,
     refuse_shared_frames,
     render,
@@ -84,6 +86,12 @@ def parse_arguments() -> argparse.Namespace:
     )
     parser.add_argument("--model", choices=MODELS, default="lite", help="which encoder")
     parser.add_argument("--size", type=size_argument, default="320x160", help="input, WxH pixels")
+    parser.add_argument("--look", default="sim", help="of the training scenes' world")
+    parser.add_argument("--without", action="append", default=[], metavar="ELEMENT",
+                        help="left out of the training scenes; may be repeated")
+    parser.add_argument("--init", type=Path, metavar="FILE.pt",
+                        help="weights to start from: NAME.pt that an earlier run of the same model "
+                        "left in --work, of any size")
     parser.add_argument("--scenes", type=count_argument, default=6000, help="training scenes")
     parser.add_argument("--validation", type=count_argument, default=200, help="scenes an epoch")
     parser.add_argument("--test", type=count_argument, default=1000, help="scenes for the IoU")
@@ -113,7 +121,7 @@ def parse_arguments() -> argparse.Namespace:
                         help="folder for rendered scenes, kept for the next run")
     parser.add_argument("--out", type=Path, default=REPOSITORY / "calibration",
                         help="folder for NAME.onnx, NAME.toml and NAME.md")
-    parser.add_argument("--name", help="default: enet-sad-lite-WxH or enet-sad-WxH")
+    parser.add_argument("--name", help="default: enet-sad-WxH, enet-sad-lite-WxH or enet-sad-small-WxH")
     parser.add_argument("--smoke", action="store_true",
                         help="the whole way in a minute, on a few scenes, below --work")
     args = parser.parse_args()
@@ -121,7 +129,7 @@ def parse_arguments() -> argparse.Namespace:
         args.scenes, args.validation, args.test = 96, 16, 32
         args.epochs, args.minutes, args.batch = 2, None, 8
         args.out = args.work / "smoke"
-    stem = "enet-sad" if args.model == "enet-sad" else "enet-sad-lite"
+    stem = "enet-sad" if args.model == "enet-sad" else f"enet-sad-{args.model}"
     args.name = args.name or f"{stem}-{args.size}"
     return args
 
@@ -153,10 +161,12 @@ def run(args: argparse.Namespace) -> None:
     half = args.precision == "bf16" or (args.precision == "auto" and multiplies_bf16(device))
 
     training, validation, test = (
-        load(render(args.gapwatch, args.work, seed, count, args.size), seed, args.size,
+        load(render(args.gapwatch, args.work, seed, count, args.size, world), seed, args.size,
              args.threads)
-        for seed, count in (
-            (TRAINING_SEED, args.scenes), (VALIDATION_SEED, args.validation), (TEST_SEED, args.test)
+        for seed, count, world in (
+            (TRAINING_SEED, args.scenes, World(args.look, tuple(args.without))),
+            (VALIDATION_SEED, args.validation, World()),
+            (TEST_SEED, args.test, World()),
         )
     )
     refuse_shared_frames(training, validation, test)
@@ -165,6 +175,8 @@ def run(args: argparse.Namespace) -> None:
           f"mean {normalisation.mean}, std {normalisation.std}", flush=True)
 
     network = LaneNetwork(args.model, args.share_weights)
+    if args.init:
+        start_from(args.init, network, args.model)
     network.to(device=device, memory_format=torch.channels_last)
     multiply_adds = count_multiply_adds(network.encoder, args.size.width, args.size.height)
     machine = (f"{processor_name()}, {args.threads} threads" if device.type == "cpu"
@@ -177,6 +189,10 @@ def run(args: argparse.Namespace) -> None:
     predict = prediction_of(network)
     lane_logit = best_lane_logit(predict, validation, normalisation, EVALUATION_BATCH)
     network.head.lower(lane_logit)
+    seen = measure(predict, validation, normalisation, EVALUATION_BATCH)
+    network.set_tap_gains(seen.median_peaks())
+    torch.save({"model": args.model, "weights": network.state_dict()},
+               args.work / f"{args.name}.pt")
 
     onnx_file = args.out / f"{args.name}.onnx"
     export(network, args.size, onnx_file)
@@ -232,6 +248,19 @@ def run(args: argparse.Namespace) -> None:
     card_file.write_text(card.text(), encoding="utf-8")
     check_outputs(args, card.onnx_sha256)
     print(f"wrote   {onnx_file}, {args.name}.toml and {args.name}.md", flush=True)
+
+
+def start_from(file: Path, network: LaneNetwork, model: str) -> None:
+    """Loads the weights of an earlier run; tap gains are measured anew."""
+    try:
+        saved = torch.load(file, weights_only=True)
+        if saved["model"] != model:
+            raise SettingsError(f"--init {file}: weights of {saved['model']}, wanted {model}")
+        network.load_state_dict(saved["weights"])
+    except (OSError, KeyError, RuntimeError, pickle.UnpicklingError) as error:
+        reason = str(error).splitlines()[0]
+        raise SettingsError(f"--init {file}: no weights of an earlier run: {reason}") from error
+    network.tap_gains.fill_(1.0)
 
 
 def check_settings(args: argparse.Namespace) -> None:
@@ -344,6 +373,9 @@ def train(
 def command_of(args: argparse.Namespace) -> str:
     """The command that repeats this training, all defaults spelled out, folders left out."""
     words = ["python", "calibration/train/train.py", "--model", args.model]
+    words += ["--look", args.look] if args.look != "sim" else []
+    words += [word for element in args.without for word in ("--without", element)]
+    words += ["--init", str(args.init.name)] if args.init else []
     words += ["--size", str(args.size), "--scenes", str(args.scenes)]
     words += ["--validation", str(args.validation), "--test", str(args.test)]
     words += (["--epochs", str(args.epochs)] if args.minutes is None
@@ -361,7 +393,7 @@ def command_of(args: argparse.Namespace) -> str:
 def check_outputs(args: argparse.Namespace, onnx_sha256: str) -> None:
     """Reads the written files back; `ExportError` when they are not what gapwatch expects."""
     settings = tomllib.loads((args.out / f"{args.name}.toml").read_text(encoding="utf-8"))
-    if list(settings) != ["taps", "size", "mean", "std"] or settings["taps"] != list(TAPS):
+    if list(settings) != ["taps", "lane", "size", "mean", "std"] or settings["taps"] != list(TAPS):
         raise ExportError(f"{args.name}.toml holds {settings}")
     if settings["size"] != str(args.size):
         raise ExportError(f"{args.name}.toml: size {settings['size']}, wanted {args.size}")

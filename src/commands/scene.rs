@@ -2,17 +2,16 @@
 
 use std::fs;
 use std::io::Write;
-use std::os::unix::fs::PermissionsExt;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use anyhow::{Context, bail};
 use gapwatch::scene::{ConditionKind, Drive, Element, Look, Renderer, World, scene_moment};
-use image::codecs::png::{CompressionType, FilterType, PngEncoder};
-use image::{ExtendedColorType, ImageEncoder};
+use image::ExtendedColorType;
 use rayon::prelude::*;
 use serde::Serialize;
-use tempfile::TempDir;
 
+use super::new_folder::NewFolder;
+use super::pictures::write_png;
 use crate::args::{SceneArgs, SceneList};
 
 /// One line of `scenes.jsonl`.
@@ -43,7 +42,7 @@ pub fn run(args: &SceneArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
     if let Some(timed) = args.condition.iter().find(|c| c.span_s.is_some()) {
         bail!("condition {timed}: a scene is one moment; wanted KIND:SEVERITY without @FROM-TO");
     }
-    let folder = PartialFolder::beside(target)?;
+    let folder = NewFolder::beside(target)?;
     for part in ["frames", "masks"] {
         let path = folder.path().join(part);
         fs::create_dir(&path).with_context(|| format!("cannot create {}", path.display()))?;
@@ -81,6 +80,7 @@ fn render_scene(
         without: args.without.clone(),
     };
     let scene = renderer.render(&Drive::new(&world, seed, &args.condition), t_s);
+    let size = (args.size.width, args.size.height);
     let line = SceneLine {
         frame: format!("frames/{index:06}.png"),
         mask: format!("masks/{index:06}.png"),
@@ -93,67 +93,14 @@ fn render_scene(
     write_png(
         &folder.join(&line.frame),
         scene.rgb,
-        args,
+        size,
         ExtendedColorType::Rgb8,
     )?;
     write_png(
         &folder.join(&line.mask),
         scene.mask,
-        args,
+        size,
         ExtendedColorType::L8,
     )?;
     Ok(serde_json::to_string(&line)? + "\n")
-}
-
-fn write_png(
-    path: &Path,
-    pixels: &[u8],
-    args: &SceneArgs,
-    colour: ExtendedColorType,
-) -> anyhow::Result<()> {
-    let mut bytes = Vec::new();
-    PngEncoder::new_with_quality(&mut bytes, CompressionType::Fast, FilterType::Sub)
-        .write_image(pixels, args.size.width, args.size.height, colour)
-        .and_then(|()| Ok(fs::write(path, &bytes)?))
-        .with_context(|| format!("cannot write {}", path.display()))
-}
-
-/// A folder under another name until it is complete; removed if that never happens.
-struct PartialFolder {
-    folder: TempDir,
-    target: PathBuf,
-}
-
-impl PartialFolder {
-    fn beside(target: &Path) -> anyhow::Result<Self> {
-        let empty =
-            |target: &Path| fs::read_dir(target).is_ok_and(|mut entries| entries.next().is_none());
-        if target.exists() && !empty(target) {
-            bail!(
-                "{} exists and is not an empty folder; name another with --out",
-                target.display()
-            );
-        }
-        // A link to an empty folder stays a link.
-        let target = target.canonicalize().unwrap_or_else(|_| target.to_owned());
-        let parent = target
-            .parent()
-            .filter(|p| !p.as_os_str().is_empty())
-            .unwrap_or(Path::new("."));
-        let folder = tempfile::Builder::new()
-            .prefix(".scenes-")
-            .permissions(PermissionsExt::from_mode(0o755))
-            .tempdir_in(parent)
-            .with_context(|| format!("cannot create {}", target.display()))?;
-        Ok(Self { folder, target })
-    }
-
-    fn path(&self) -> &Path {
-        self.folder.path()
-    }
-
-    fn keep(self) -> anyhow::Result<()> {
-        fs::rename(self.path(), &self.target)
-            .with_context(|| format!("cannot put {} in place", self.target.display()))
-    }
 }
