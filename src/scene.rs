@@ -86,3 +86,136 @@ impl Drive {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, clippy::cast_precision_loss)]
+    use super::*;
+
+    const SIZE: (u32, u32) = (160, 80);
+
+    fn frame(world: &World, seed: u64, conditions: &[Condition], t_s: f64) -> (Vec<u8>, Vec<u8>) {
+        let mut renderer = Renderer::new(SIZE.0, SIZE.1);
+        let scene = renderer.render(&Drive::new(world, seed, conditions), t_s);
+        (scene.rgb.to_vec(), scene.mask.to_vec())
+    }
+
+    fn difference(a: &[u8], b: &[u8]) -> f64 {
+        let sum: u64 = a
+            .iter()
+            .zip(b)
+            .map(|(a, b)| u64::from(a.abs_diff(*b)))
+            .sum();
+        sum as f64 / a.len() as f64
+    }
+
+    fn condition(kind: ConditionKind, severity: f32) -> Condition {
+        Condition {
+            kind,
+            severity,
+            span_s: None,
+        }
+    }
+
+    #[test]
+    fn a_moment_is_the_same_whatever_was_rendered_before() {
+        let rain: Condition = "rain:3@2-9".parse().unwrap();
+        let askew = condition(ConditionKind::Askew, 4.0);
+        let (sim, game) = (World::default(), World::of(Look::Game));
+        let mut renderer = Renderer::new(SIZE.0, SIZE.1);
+        for (world, seed, conditions, t_s) in [
+            (&game, 3, vec![], 700.0),
+            (&sim, 9, vec![askew], 5.0),
+            (&sim, 5, vec![rain], 7.5),
+            (&sim, 5, vec![rain], 0.0),
+            (&sim, 5, vec![rain], 7.5),
+        ] {
+            let (rgb, mask) = frame(world, seed, &conditions, t_s);
+            let again = renderer.render(&Drive::new(world, seed, &conditions), t_s);
+            assert!(
+                again.rgb == rgb && again.mask == mask,
+                "seed {seed} at {t_s} s"
+            );
+        }
+    }
+
+    #[test]
+    fn looks_change_the_picture_and_the_realistic_one_not_the_road() {
+        for seed in 0..20 {
+            let (sim, sim_lanes) = frame(&World::default(), seed, &[], 3.0);
+            let (real, real_lanes) = frame(&World::of(Look::Realistic), seed, &[], 3.0);
+            let (game, _) = frame(&World::of(Look::Game), seed, &[], 3.0);
+            assert!(sim_lanes == real_lanes, "seed {seed}");
+            assert!(difference(&sim, &real) > 3.0 && difference(&sim, &game) > 10.0);
+        }
+    }
+
+    #[test]
+    fn every_element_shows_when_it_is_left_out() {
+        // The exposure shows in every drive, arrows in few.
+        for element in Element::ALL {
+            let without = World {
+                look: Look::Sim,
+                without: vec![element],
+            };
+            let shows = (0..60).any(|seed| {
+                frame(&World::default(), seed, &[], 11.0) != frame(&without, seed, &[], 11.0)
+            });
+            assert!(shows, "{element}");
+        }
+    }
+
+    #[test]
+    fn severity_0_is_no_condition_and_worse_looks_worse() {
+        let mean = |kind, severity| {
+            let shift = |seed| {
+                let (clear, _) = frame(&World::default(), seed, &[], 4.0);
+                let (shifted, _) =
+                    frame(&World::default(), seed, &[condition(kind, severity)], 4.0);
+                difference(&clear, &shifted)
+            };
+            (0..8).map(shift).sum::<f64>() / 8.0
+        };
+        for kind in ConditionKind::ALL {
+            let [none, light, middling, severe] = [0.0, 1.0, 3.0, 5.0].map(|s| mean(kind, s));
+            assert!(
+                none < 1e-9 && light > 0.3 && middling > light && severe > middling,
+                "{}: {none} {light} {middling} {severe}",
+                kind.name()
+            );
+        }
+    }
+
+    #[test]
+    fn labels_lie_on_the_paint_however_the_camera_is_held() {
+        let sides = World {
+            look: Look::Sim,
+            without: vec![Element::Traffic, Element::Rails, Element::Shadows],
+        };
+        for conditions in [vec![], vec![condition(ConditionKind::Askew, 5.0)]] {
+            let (mut on, mut beside) = ((0.0, 0.0), (0.0, 0.0));
+            for seed in 0..20 {
+                let (rgb, mask) = frame(&sides, seed, &conditions, 8.0);
+                let width = SIZE.0 as usize;
+                for pixel in 6..mask.len() - 6 {
+                    let bright = f64::from(rgb[3 * pixel]);
+                    let near = (pixel - 6..=pixel + 6).any(|p| mask[p] != 0);
+                    // Markings far away are thinner than a pixel: only the lower part of the picture tells.
+                    if pixel / width < 3 * SIZE.1 as usize / 5 {
+                        continue;
+                    }
+                    if mask[pixel] != 0 {
+                        on = (on.0 + bright, on.1 + 1.0);
+                    } else if near {
+                        beside = (beside.0 + bright, beside.1 + 1.0);
+                    }
+                }
+            }
+            let (on, beside) = (on.0 / on.1, beside.0 / beside.1);
+            assert!(
+                on > 1.08 * beside,
+                "{conditions:?}: {on} on, {beside} beside"
+            );
+        }
+    }
+}

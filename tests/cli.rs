@@ -29,10 +29,17 @@ fn wrong_use_is_met_with_one_line_and_exit_code_2_and_leaves_nothing_behind() {
             vec!["replay", "no-such-drive"],
             "no-such-drive: no such file or folder",
         ),
-        (vec!["replay", "scene:moon"], "looks are sim"),
+        (
+            vec!["replay", "scene:moon"],
+            "no such look; wanted sim, sim-realistic, game",
+        ),
+        (
+            vec!["replay", "scene:sim?without=wheels"],
+            "no such element; wanted curves",
+        ),
         (
             vec!["replay", "scene:sim?condition=mist:3"],
-            "kinds are night",
+            "kinds are askew, tunnel",
         ),
         (
             vec!["replay", "--can", "log:no/such/folder/can.log"],
@@ -164,6 +171,35 @@ fn wrong_use_is_met_with_one_line_and_exit_code_2_and_leaves_nothing_behind() {
             vec!["scene", "--out", "s", "--condition", "fog:3@1-2"],
             "@FROM-TO",
         ),
+        (vec!["scene", "--count", "3"], "--out"),
+        (vec!["scene", "--out", "s", "--look", "moon"], "moon"),
+        (
+            vec!["inspect", "random:", "--out", "no/such/folder"],
+            "no/such",
+        ),
+        (
+            vec!["inspect", "random:", "--out", "s", "--lane", "lanes"],
+            "no tap named \"lanes\"",
+        ),
+        (
+            vec!["inspect", "random:", "--out", "s", "--lane", "e4"],
+            "one of the taps",
+        ),
+        (
+            vec!["evaluate", "--model", "not-a-model.onnx"],
+            "not-a-model.onnx",
+        ),
+        (vec!["evaluate", "--quick", "--scenes", "3"], "--quick"),
+        (
+            vec![
+                "evaluate",
+                "--scenes",
+                "1",
+                "--out",
+                "no/such/folder/e.json",
+            ],
+            "no/such/folder/e.json",
+        ),
     ] {
         let line = gapwatch_in(folder.path(), &args).refusal();
         assert!(
@@ -226,7 +262,14 @@ fn output_that_nobody_reads_is_not_a_job_done() {
 
 #[test]
 fn every_command_has_help_with_an_example() {
-    for command in ["replay", "calibrate", "compare", "scene"] {
+    for command in [
+        "replay",
+        "calibrate",
+        "compare",
+        "scene",
+        "inspect",
+        "evaluate",
+    ] {
         let help = gapwatch_in(empty().path(), &[command, "--help"]).ok();
         assert!(
             help.contains("Example:") && help.contains(&format!("gapwatch {command}")),
@@ -267,6 +310,101 @@ fn scenes_are_the_same_bytes_for_any_number_of_threads() {
     assert!(one[0].1 != one[1].1, "two scenes of a set differ");
     let list = fs::read_to_string(folder.path().join("one/scenes.jsonl")).unwrap();
     assert_expected("scenes.jsonl", &list);
+}
+
+#[test]
+fn scenes_can_be_told_to_look_otherwise_and_do_without_elements() {
+    let folder = empty();
+    let run = |args: &[&str]| gapwatch_in(folder.path(), args).ok();
+    run(&["scene", "--out", "plain", "--count", "3"]);
+    run(&["scene", "--out", "game", "--count", "3", "--look", "game"]);
+    let elements = run(&["scene", "--list", "elements"]);
+    assert!(
+        elements.lines().count() > 5 && elements.contains("traffic\n"),
+        "{elements}"
+    );
+    let mut bare = vec!["scene", "--out", "bare", "--count", "3"];
+    bare.extend(elements.lines().flat_map(|element| ["--without", element]));
+    run(&bare);
+    let frame = |set: &str| {
+        let file = folder.path().join(set).join("frames/000001.png");
+        image::open(file).unwrap().into_rgb8()
+    };
+    assert!(frame("plain") != frame("game") && frame("plain") != frame("bare"));
+    assert_eq!(
+        run(&["scene", "--list", "looks"]),
+        "sim\nsim-realistic\ngame\n"
+    );
+}
+
+#[test]
+fn inspect_writes_a_sheet_a_frame_and_the_numbers_behind_them() {
+    let folder = empty();
+    let drive = "scene:sim?seed=7&seconds=3";
+    let args = ["inspect", drive, "--out", "sheets", "--count", "3"];
+    let said = gapwatch_in(folder.path(), &args).ok();
+    assert!(said.starts_with("sheets: 3 sheets of 3 frames\n"), "{said}");
+    let numbers = fs::read_to_string(folder.path().join("sheets/inspect.json")).unwrap();
+    let numbers: serde_json::Value = serde_json::from_str(&numbers).unwrap();
+    let frames = numbers["frames"].as_array().unwrap();
+    let places: Vec<u64> = frames
+        .iter()
+        .map(|f| f["frame"].as_u64().unwrap())
+        .collect();
+    assert_eq!(places, [0, 10, 20]);
+    for frame in frames {
+        let sheet = folder
+            .path()
+            .join("sheets")
+            .join(frame["sheet"].as_str().unwrap());
+        // Four panels of 320x160, enlarged twice: the lane mask and three taps.
+        assert_eq!(image::image_dimensions(sheet).unwrap(), (1_280, 640));
+        assert!(frame["lane_area"].as_f64().unwrap() > 0.005);
+        for tap in ["e2", "e3", "e4"] {
+            let tap = &frame["taps"][tap];
+            let share = tap["energy_on_lanes"].as_f64().unwrap();
+            let lift = tap["lift"].as_f64().unwrap();
+            assert!(tap["peak_energy"].as_f64().unwrap() > 0.0);
+            assert!((share / frame["lane_area"].as_f64().unwrap() - lift).abs() < 1e-9);
+        }
+    }
+    assert!(numbers["median"]["e4"]["lift"].as_f64().unwrap() > 1.0);
+    // What cannot be judged has a reason and no sheet.
+    let black = image::RgbImage::new(320, 160);
+    black.save(folder.path().join("black.png")).unwrap();
+    let args = ["inspect", "black.png", "--out", "dark"];
+    let said = gapwatch_in(folder.path(), &args).ok();
+    assert!(said.starts_with("dark: 0 sheets of 1 frames"), "{said}");
+}
+
+#[test]
+fn evaluate_judges_every_look_condition_and_severity_with_counts_and_intervals() {
+    let folder = empty();
+    let args = [
+        "evaluate", "--scenes", "2", "--out", "e.json", "--format", "json",
+    ];
+    let out = gapwatch_in(folder.path(), &args).ok();
+    assert_eq!(
+        out,
+        fs::read_to_string(folder.path().join("e.json")).unwrap()
+    );
+    let results: serde_json::Value = serde_json::from_str(&out).unwrap();
+    let rows = results["lane_iou"].as_array().unwrap();
+    assert_eq!(rows.len(), 3 * (1 + 10 * 5));
+    for row in rows {
+        assert_eq!((&row["scenes"], &row["default"]), (&2.into(), &true.into()));
+        let iou = row["iou"].as_f64().unwrap();
+        let interval = row["interval"].as_array().unwrap();
+        assert!(interval[0].as_f64().unwrap() <= iou && iou <= interval[1].as_f64().unwrap());
+    }
+    let csv = gapwatch_in(
+        folder.path(),
+        &["evaluate", "--scenes", "2", "--format", "csv"],
+    )
+    .ok();
+    assert_eq!(csv.lines().count(), rows.len() + 1);
+    let first = format!("sim,none,0,2,{:.4},", rows[0]["iou"].as_f64().unwrap());
+    assert!(csv.lines().nth(1).unwrap().contains(&first), "{csv}");
 }
 
 #[test]

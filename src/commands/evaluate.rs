@@ -53,6 +53,17 @@ pub fn run(args: &EvaluateArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
             Ok((spec, encoder))
         })
         .collect::<anyhow::Result<Vec<_>>>()?;
+    // Before any work is done that could be lost.
+    let file = match &args.out {
+        Some(path) => {
+            let file = WholeFile::create(path);
+            Some((
+                file.with_context(|| format!("cannot write {}", path.display()))?,
+                path,
+            ))
+        }
+        None => None,
+    };
     let scenes = match (args.scenes, args.quick) {
         (Some(scenes), _) => scenes,
         (None, true) => SCENES.1,
@@ -76,13 +87,10 @@ pub fn run(args: &EvaluateArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
         lane_iou: rows,
     };
     let json = serde_json::to_string_pretty(&results)? + "\n";
-    if let Some(file) = &args.out {
-        let write = || {
-            let mut whole = WholeFile::create(file)?;
-            whole.write_all(json.as_bytes())?;
-            whole.finish()
-        };
-        write().with_context(|| format!("cannot write {}", file.display()))?;
+    if let Some((mut file, path)) = file {
+        file.write_all(json.as_bytes())
+            .and_then(|()| file.finish())
+            .with_context(|| format!("cannot write {}", path.display()))?;
     }
     match args.format {
         Format::Json => out.write_all(json.as_bytes())?,

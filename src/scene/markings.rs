@@ -4,6 +4,9 @@ use super::light::Colour;
 use super::noise::{Draws, NoiseRow, hash};
 use super::world::{Element, Look, World};
 
+/// Most lanes in the direction of travel.
+const LANES_MAX: usize = 5;
+
 /// One painted line along the road.
 #[derive(Clone, Copy, Debug)]
 pub struct Line {
@@ -25,7 +28,7 @@ pub struct Layout {
     /// Left and right edge of the asphalt, metres from the middle of the ego lane.
     pub asphalt_m: (f32, f32),
     /// Offsets of the lanes' middles in the direction of travel.
-    pub lanes_m: heapless::Vec<f32, 4>,
+    pub lanes_m: heapless::Vec<f32, LANES_MAX>,
     /// Offset of the oncoming lane, if the road has one.
     pub oncoming_m: Option<f32>,
     /// Width of a lane, metres.
@@ -39,10 +42,10 @@ pub struct Layout {
 }
 
 impl Layout {
-    /// The cross-section of a drive: 1 to 3 lanes one way, or 1 each way.
+    /// The cross-section of a drive: 2 to 5 lanes one way, or 1 each way.
     pub fn new(draws: Draws, world: &World) -> Self {
         let lane = draws.range("lane width", 3.0, 3.8);
-        let count = draws.pick("lanes", &[1, 2, 2, 3, 3]);
+        let count = draws.pick("lanes", &[1, 1, 2, 2, 3, 3, 4, 5]);
         let ego = draws.seed("ego lane") as usize % count;
         let two_way = count == 1;
         let (width_m, dash) = match world.look {
@@ -57,7 +60,7 @@ impl Layout {
         let right_edge = (count as f32 - ego as f32 - 0.5) * lane;
         let mut lines = heapless::Vec::new();
         let mut paint = |offset_m, dash_m, yellow| {
-            // At most 3 lanes and an oncoming one: 6 lines of 8.
+            // At most 5 lanes one way, or one and an oncoming one with a double line: 6 lines of 8.
             let _ = lines.push(Line {
                 offset_m,
                 width_m,
@@ -93,7 +96,9 @@ impl Layout {
                 },
                 right_edge + verge,
             ),
-            lanes_m: (0..count).map(|i| (i as f32 - ego as f32) * lane).collect(),
+            lanes_m: (0..count.min(LANES_MAX))
+                .map(|i| (i as f32 - ego as f32) * lane)
+                .collect(),
             oncoming_m: two_way.then_some(-lane),
             lane_width_m: lane,
             colours: match world.look {
