@@ -279,7 +279,7 @@ fn temperature(text: &str) -> Result<Temperature, String> {
 /// Render labelled scenes of the road simulator
 ///
 /// Each scene is one moment of a drive of its own. DIR gets frames/NNNNNN.png (RGB), masks/NNNNNN.png (255 on a lane
-/// line) and scenes.jsonl (seed, time and conditions of each).
+/// line) and scenes.jsonl (seed, time, world, conditions and SHA-256 of the pixels of each).
 #[derive(Debug, Args)]
 #[command(
     after_help = "Example:\n  gapwatch scene --out scenes --count 100 --seed 7 --condition fog:3"

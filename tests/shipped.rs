@@ -6,6 +6,10 @@ mod program;
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use gapwatch::encoder::Encoder;
+use gapwatch::evaluation::{Setting, lane_iou};
+use gapwatch::model::{ModelOptions, ModelSpec};
+use gapwatch::scene::World;
 use program::gapwatch_in;
 use serde_json::Value;
 use sha2::{Digest, Sha256};
@@ -16,21 +20,67 @@ fn calibration(name: &str) -> PathBuf {
         .join(name)
 }
 
+fn hash_of(bytes: &[u8]) -> String {
+    let hash = Sha256::digest(bytes);
+    hash.iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
 #[test]
-fn model_card_and_reference_carry_the_hash_of_the_model() {
-    let model = fs::read(calibration("enet-sad-lite-320x160.onnx")).unwrap();
-    let hash: String = Sha256::digest(&model)
-        .iter()
-        .map(|byte| format!("{byte:02x}"))
-        .collect();
-    for name in ["enet-sad-lite-320x160.md", "sim.json"] {
+fn every_model_has_its_card_and_settings_and_shows_lanes() {
+    let mut models = 0;
+    let mut bytes = 0;
+    for entry in fs::read_dir(calibration("")).unwrap() {
+        let path = entry.unwrap().path();
+        if path.extension().is_none_or(|e| e != "onnx") {
+            continue;
+        }
+        let onnx = fs::read(&path).unwrap();
+        let card = fs::read_to_string(path.with_extension("md")).unwrap();
         assert!(
-            fs::read_to_string(calibration(name))
-                .unwrap()
-                .contains(&hash),
-            "{name} is of another model"
+            card.contains(&hash_of(&onnx)),
+            "{} is another's card",
+            path.display()
         );
+        let spec = ModelSpec::new(Some(&path), ModelOptions::default()).unwrap();
+        assert_eq!(spec.lane.as_deref(), Some("lane"), "{}", path.display());
+        let encoder = Encoder::load_with_lane(&spec).unwrap();
+        let nominal = Setting {
+            world: World::default(),
+            condition: None,
+        };
+        let judged = lane_iou(&spec, &encoder, &[nominal], 4, &|| {}).unwrap();
+        assert!(
+            judged[0].iou.unwrap() > 0.6,
+            "{}: {judged:?}",
+            path.display()
+        );
+        for tap in &judged[0].attention {
+            // The deliberate scale: a median peak energy of 50 on the trainer's validation scenes.
+            let peak = tap.peak_energy.unwrap();
+            assert!(
+                (25.0..100.0).contains(&peak),
+                "{} {}: {peak}",
+                path.display(),
+                tap.tap
+            );
+        }
+        models += 1;
+        bytes += onnx.len();
     }
+    assert!(
+        models >= 4 && bytes < 8_000_000,
+        "{models} models of {bytes} bytes"
+    );
+}
+
+#[test]
+fn the_reference_carries_the_hash_of_the_model() {
+    let model = fs::read(calibration("enet-sad-lite-320x160.onnx")).unwrap();
+    let reference = fs::read_to_string(calibration("sim.json")).unwrap();
+    assert!(
+        reference.contains(&hash_of(&model)),
+        "sim.json is of another model"
+    );
 }
 
 /// Everything equal but for floats, which may differ by a share: encoders round differently on other kinds of processor.

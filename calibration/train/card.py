@@ -8,8 +8,18 @@ from pathlib import Path
 
 from evaluation import Measurement
 from export import OPSET, Agreement
-from network import TAPS
-from scenes import Normalisation, Size
+from network import PEAK_ENERGY, TAPS
+from scenes import Normalisation, Size, World
+
+
+@dataclass(frozen=True)
+class SceneSetNote:
+    """A rendered set, and the hash of its list, which holds the hash of every scene's pixels."""
+
+    use: str
+    seed: int
+    count: int
+    sha256: str
 
 
 @dataclass(frozen=True)
@@ -20,8 +30,9 @@ class Card:
     model: str
     size: Size
     command: str
-    scene_seeds: dict[str, tuple[int, int]]  # by use: (seed, count)
-    program_sha256: str
+    scene_sets: list[SceneSetNote]
+    world: World
+    init_sha256: str | None
     lane_share: float
     seed: int
     epochs: int
@@ -68,8 +79,12 @@ class Card:
             else "off"
         )
         sets = "\n".join(
-            f"| {use} | {seed} | {count} | {self.size} |"
-            for use, (seed, count) in self.scene_seeds.items()
+            f"| {of.use} | {of.seed} | {of.count} | `{of.sha256}` |" for of in self.scene_sets
+        )
+        start = (
+            f"the weights whose file has SHA-256\n  `{self.init_sha256}`"
+            if self.init_sha256
+            else "random weights"
         )
         peak_rows = "\n".join(f"| {tap} | {peaks[tap]:.4g} |" for tap in TAPS)
         differences = ", ".join(
@@ -114,15 +129,17 @@ Parameters are counted before folding, shared ones once.
 
 ## Data
 
-Rendered by `gapwatch scene`, program SHA-256 `{self.program_sha256}`.
-{self.lane_share * 100:.2f} % of the training pixels lie on a marking.
+Rendered by `gapwatch scene` at {self.size}; training scenes of the world `{self.world}`, the others of
+`sim`. {self.lane_share * 100:.2f} % of the training pixels lie on a marking. The hash is that of a set's
+`scenes.jsonl`, which has the hash of every frame and mask: it is the same on every machine.
 
-| use | seed | scenes | size |
+| use | seed | scenes | SHA-256 |
 |---|---|---|---|
 {sets}
 
 Validation scenes gave the progress lines and the point where lane begins (the head's last
-bias was moved by {-self.lane_logit:+.2f} so that it lies at a logit of 0); test scenes were used once, for the table above.
+bias was moved by {-self.lane_logit:+.2f} so that it lies at a logit of 0), and the factor on each tap that brings its
+median peak energy to {PEAK_ENERGY:g}; test scenes were used once, for the tables above.
 
 ## Training
 
@@ -130,6 +147,7 @@ bias was moved by {-self.lane_logit:+.2f} so that it lies at a logit of 0); test
 {self.command}
 ```
 
+- From {start}
 - Seed {self.seed}, {self.epochs} epochs, {self.steps} steps of {self.batch} scenes, AdamW, peak
   learning rate {self.learning_rate:g}, cosine to 0
 - Augmentation: mirror, brightness, contrast and colour within {self.jitter * 100:g} %
@@ -149,7 +167,8 @@ def write_settings(file: Path, size: Size, normalisation: Normalisation) -> None
     std = ", ".join(f"{value:.4f}" for value in normalisation.std)
     taps = ", ".join(f'"{tap}"' for tap in TAPS)
     file.write_text(
-        f'taps = [{taps}]\nlane = "lane"\nsize = "{size}"\nmean = [{mean}]\nstd = [{std}]\n', encoding="utf-8"
+        f'taps = [{taps}]\nlane = "lane"\nsize = "{size}"\nmean = [{mean}]\nstd = [{std}]\n',
+        encoding="utf-8",
     )
 
 

@@ -91,13 +91,13 @@ def train_all(variants: list[Variant], args: argparse.Namespace) -> list[Run]:
 
 def train_one(variant: Variant, program: Path, args: argparse.Namespace) -> Path:
     """The variant's ONNX file; trains it unless an earlier study of the same size did."""
-    folder = args.work / "runs" / f"{args.scenes}x{args.epochs}" / variant.name
-    onnx = folder / "lane.onnx"
+    folder = args.work / "runs" / f"{args.scenes}x{args.epochs}"
+    onnx = folder / f"{variant.name}.onnx"
     if onnx.with_suffix(".md").is_file():
         return onnx
     folder.mkdir(parents=True, exist_ok=True)
     command = [sys.executable, str(TRAINER), "--gapwatch", str(program), "--work", str(args.work),
-               "--out", str(folder), "--name", "lane", "--scenes", str(args.scenes),
+               "--out", str(folder), "--name", variant.name, "--scenes", str(args.scenes),
                "--epochs", str(args.epochs), "--validation", str(VALIDATION_SCENES),
                "--test", str(args.test), "--threads", "1", "--seed", str(variant.seed)]
     print(f"training {variant.name}", flush=True)
@@ -108,7 +108,8 @@ def train_one(variant: Variant, program: Path, args: argparse.Namespace) -> Path
         text=True,
         check=False,
     )
-    (folder / "log.txt").write_text(done.stdout + done.stderr, encoding="utf-8")
+    log = folder / f"{variant.name}.log"
+    log.write_text(done.stdout + done.stderr, encoding="utf-8")
     if done.returncode != 0:
-        raise SceneError(f"{variant.name}: training failed; see {folder / 'log.txt'}")
+        raise SceneError(f"{variant.name}: training failed; see {log}")
     return onnx

@@ -57,7 +57,7 @@ def main() -> int:
 
 def judge(run: Run, conditions: list[str], args: object) -> dict[str, float]:
     """Every figure of one run, by name."""
-    reference = run.onnx.with_name("reference.json")
+    reference = run.onnx.with_suffix(".json")
     monitor = Monitor.calibrated(args.gapwatch, run.onnx, reference)
     nominal = each_second(monitor.scores(nominal_drives()))
     figures = {"lane IoU, unseen scenes": run.iou}

@@ -25,7 +25,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from card import Card, processor_name, write_settings
+from card import Card, SceneSetNote, processor_name, write_settings
 from evaluation import best_lane_logit, measure, prediction_of
 from export import ExportError, compare, export, prediction_of_file
 from losses import distillation_loss, lane_loss
@@ -160,15 +160,17 @@ def run(args: argparse.Namespace) -> None:
     )
     half = args.precision == "bf16" or (args.precision == "auto" and multiplies_bf16(device))
 
-    training, validation, test = (
-        load(render(args.gapwatch, args.work, seed, count, args.size, world), seed, args.size,
-             args.threads)
-        for seed, count, world in (
-            (TRAINING_SEED, args.scenes, World(args.look, tuple(args.without))),
-            (VALIDATION_SEED, args.validation, World()),
-            (TEST_SEED, args.test, World()),
-        )
-    )
+    world = World(args.look, tuple(args.without))
+    sets, notes = [], []
+    for use, seed, count, of in (
+        ("training", TRAINING_SEED, args.scenes, world),
+        ("validation", VALIDATION_SEED, args.validation, World()),
+        ("test", TEST_SEED, args.test, World()),
+    ):
+        folder = render(args.gapwatch, args.work, seed, count, args.size, of)
+        sets.append(load(folder, seed, args.size, args.threads))
+        notes.append(SceneSetNote(use, seed, count, sha256_of(folder / "scenes.jsonl")))
+    training, validation, test = sets
     refuse_shared_frames(training, validation, test)
     normalisation = Normalisation.of(training)
     print(f"scenes  {len(training)} to train on, {training.lane_share() * 100:.2f} % marking; "
@@ -216,12 +218,9 @@ def run(args: argparse.Namespace) -> None:
         model=args.model,
         size=args.size,
         command=command_of(args),
-        scene_seeds={
-            "training": (TRAINING_SEED, len(training)),
-            "validation": (VALIDATION_SEED, len(validation)),
-            "test": (TEST_SEED, len(test)),
-        },
-        program_sha256=sha256_of(args.gapwatch),
+        scene_sets=notes,
+        world=world,
+        init_sha256=sha256_of(args.init) if args.init else None,
         lane_share=training.lane_share(),
         seed=args.seed,
         epochs=trained.epochs,

@@ -5,10 +5,13 @@ use std::io::Write;
 use std::path::Path;
 
 use anyhow::{Context, bail};
-use gapwatch::scene::{ConditionKind, Drive, Element, Look, Renderer, World, scene_moment};
+use gapwatch::scene::{
+    ConditionKind, Drive, Element, Labelled, Look, Renderer, World, scene_moment,
+};
 use image::ExtendedColorType;
 use rayon::prelude::*;
 use serde::Serialize;
+use sha2::{Digest, Sha256};
 
 use super::new_folder::NewFolder;
 use super::pictures::write_png;
@@ -24,6 +27,8 @@ struct SceneLine {
     look: &'static str,
     without: Vec<&'static str>,
     conditions: Vec<String>,
+    /// SHA-256 of the pixels of frame and mask: the same on every machine.
+    sha256: String,
 }
 
 pub fn run(args: &SceneArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
@@ -89,6 +94,7 @@ fn render_scene(
         look: args.look.name(),
         without: args.without.iter().map(|e| e.name()).collect(),
         conditions: args.condition.iter().map(ToString::to_string).collect(),
+        sha256: hash_of(&scene),
     };
     write_png(
         &folder.join(&line.frame),
@@ -103,4 +109,12 @@ fn render_scene(
         ExtendedColorType::L8,
     )?;
     Ok(serde_json::to_string(&line)? + "\n")
+}
+
+fn hash_of(scene: &Labelled<'_>) -> String {
+    let hash = Sha256::new()
+        .chain_update(scene.rgb)
+        .chain_update(scene.mask)
+        .finalize();
+    hash.iter().map(|byte| format!("{byte:02x}")).collect()
 }
