@@ -12,15 +12,18 @@
 
 mod canvas;
 mod conditions;
+mod ground;
 mod lens;
 mod light;
 mod markings;
+mod moment;
 mod noise;
 mod projection;
 mod render;
 mod road;
 mod sensor;
 mod spec;
+mod standing;
 mod surroundings;
 mod traffic;
 mod tunnel;

@@ -29,7 +29,7 @@ pub struct Sensor {
     saturation: f32,
     /// Gains of red, green and blue.
     cast: [f32; 3],
-    /// Whether the exposure follows the light.
+    /// Whether the exposure takes its time to follow the light; else it is there at once.
     adapts: bool,
 }
 
