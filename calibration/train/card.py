@@ -82,7 +82,8 @@ class Card:
             f"| {of.use} | {of.seed} | {of.count} | `{of.sha256}` |" for of in self.scene_sets
         )
         start = (
-            f"the weights whose file has SHA-256\n  `{self.init_sha256}`"
+            "the weights of an earlier run, which its own command must make first; their file has "
+            f"SHA-256\n  `{self.init_sha256}`"
             if self.init_sha256
             else "random weights"
         )

@@ -250,15 +250,25 @@ def run(args: argparse.Namespace) -> None:
 
 
 def start_from(file: Path, network: LaneNetwork, model: str) -> None:
-    """Loads the weights of an earlier run; tap gains are measured anew."""
+    """Loads the weights of an earlier run; tap gains are measured anew.
+
+    Raises `SettingsError` when `file` holds something else, or weights of another model.
+    """
     try:
         saved = torch.load(file, weights_only=True)
-        if saved["model"] != model:
-            raise SettingsError(f"--init {file}: weights of {saved['model']}, wanted {model}")
-        network.load_state_dict(saved["weights"])
-    except (OSError, KeyError, RuntimeError, pickle.UnpicklingError) as error:
-        reason = str(error).splitlines()[0]
-        raise SettingsError(f"--init {file}: no weights of an earlier run: {reason}") from error
+        kind, weights = saved["model"], saved["weights"]
+    except (OSError, EOFError, KeyError, TypeError, RuntimeError, pickle.UnpicklingError) as error:
+        raise SettingsError(
+            f"--init {file}: not the NAME.pt that a run of train.py leaves in --work"
+        ) from error
+    if kind != model:
+        raise SettingsError(f"--init {file}: weights of {kind}, wanted {model}")
+    try:
+        network.load_state_dict(weights)
+    except (RuntimeError, TypeError) as error:
+        raise SettingsError(
+            f"--init {file}: its weights do not fit the {model} network as it is now; train them anew"
+        ) from error
     network.tap_gains.fill_(1.0)
 
 
@@ -270,6 +280,8 @@ def check_settings(args: argparse.Namespace) -> None:
             "name the program with --gapwatch"
         )
     args.gapwatch = args.gapwatch.resolve()
+    if args.init and not args.init.is_file():
+        raise SettingsError(f"--init {args.init}: no such file; its own training comes first")
     if args.minutes is not None and not args.minutes > 0:
         raise SettingsError("--minutes must be above 0")
     if not 0 <= args.jitter < 1:
