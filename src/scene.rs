@@ -155,7 +155,6 @@ mod tests {
 
     #[test]
     fn every_element_shows_when_it_is_left_out() {
-        // The exposure shows in every drive, arrows in few.
         for element in Element::ALL {
             let without = World {
                 look: Look::Sim,

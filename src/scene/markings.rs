@@ -1,7 +1,7 @@
 //! What is painted on the road: which lines, where, how worn.
 
 use super::light::Colour;
-use super::noise::{Draws, NoiseRow, hash};
+use super::noise::{Draws, NoiseRow};
 use super::world::{Element, Look, World};
 
 /// Most lanes in the direction of travel.
@@ -35,8 +35,6 @@ pub struct Layout {
     pub lane_width_m: f32,
     /// Colours of white and of yellow paint in full light.
     pub colours: [Colour; 2],
-    symbols: f32,
-    symbol_seed: u32,
     wear: f32,
     wear_seed: u32,
 }
@@ -106,12 +104,6 @@ impl Layout {
                 Look::Realistic => [[0.70, 0.69, 0.65], [0.66, 0.46, 0.12]],
                 Look::Game => [[0.98, 0.98, 1.0], [0.95, 0.70, 0.02]],
             },
-            symbols: world.when(
-                Element::Symbols,
-                draws.range("symbols", -0.3, 0.4).max(0.0),
-                0.0,
-            ),
-            symbol_seed: draws.seed("symbol places"),
             wear: world.when(
                 Element::Wear,
                 match world.look {
@@ -126,35 +118,12 @@ impl Layout {
     }
 }
 
-/// Spacing of the grid that may hold one arrow in each lane, metres.
-const SYMBOL_CELL_M: f64 = 45.0;
-
-impl Layout {
-    /// Half the width of the arrow in the middle of every lane at arc length `s_m`, metres: a shaft of 4 m with a head
-    /// of 2 m; 0 between arrows.
-    fn arrow(&self, s_m: f64) -> f32 {
-        let cell = (s_m / SYMBOL_CELL_M).floor();
-        if self.symbols <= 0.0
-            || !Draws(hash(self.symbol_seed, cell as i32, 0)).chance("there", self.symbols)
-        {
-            return 0.0;
-        }
-        match s_m - cell * SYMBOL_CELL_M {
-            along if along < 4.0 => 0.08,
-            along if along < 6.0 => 0.45 * ((6.0 - along) / 2.0) as f32,
-            _ => 0.0,
-        }
-    }
-}
-
 /// The paint along one image row: lines cut to the row's stretch of road.
 pub struct PaintRow<'a> {
     layout: &'a Layout,
     cover: heapless::Vec<f32, 8>,
     wear: NoiseRow,
     worn: bool,
-    /// Half the width of an arrow in this row, metres; 0 where there is none.
-    arrow_m: f32,
 }
 
 impl<'a> PaintRow<'a> {
@@ -172,7 +141,6 @@ impl<'a> PaintRow<'a> {
                 .collect(),
             wear: NoiseRow::new(layout.wear_seed, s_m / 0.35),
             worn: length_m < 2.0,
-            arrow_m: layout.arrow(s_m),
         }
     }
 
@@ -193,15 +161,7 @@ impl<'a> PaintRow<'a> {
                 return Some((share * kept, self.layout.colours[usize::from(line.yellow)]));
             }
         }
-        let lanes = self.layout.lanes_m.iter();
-        let aside_m = lanes.map(|m| (d_m - m).abs()).fold(f32::INFINITY, f32::min);
-        let share = ((self.arrow_m - aside_m) / width_m + 0.5).clamp(0.0, 1.0);
-        (self.arrow_m > 0.0 && share > 0.0).then(|| {
-            (
-                share * (1.0 - 0.6 * self.layout.wear),
-                self.layout.colours[0],
-            )
-        })
+        None
     }
 }
 

@@ -72,14 +72,10 @@ pub enum Element {
     Wear,
     /// Yellow lines.
     YellowPaint,
-    /// Arrows painted in the middle of lanes.
-    Symbols,
     /// Grain of asphalt and verge.
     Texture,
     /// Wheel tracks and mended patches.
     Patches,
-    /// Joints along and across the road.
-    Joints,
     /// Far hills.
     FarHills,
     /// Clouds.
@@ -98,16 +94,14 @@ pub enum Element {
 
 impl Element {
     /// All elements.
-    pub const ALL: [Self; 16] = [
+    pub const ALL: [Self; 14] = [
         Self::Curves,
         Self::Grades,
         Self::Motion,
         Self::Wear,
         Self::YellowPaint,
-        Self::Symbols,
         Self::Texture,
         Self::Patches,
-        Self::Joints,
         Self::FarHills,
         Self::Clouds,
         Self::Shadows,
@@ -125,10 +119,8 @@ impl Element {
             Self::Motion => "motion",
             Self::Wear => "wear",
             Self::YellowPaint => "yellow-paint",
-            Self::Symbols => "symbols",
             Self::Texture => "texture",
             Self::Patches => "patches",
-            Self::Joints => "joints",
             Self::FarHills => "far-hills",
             Self::Clouds => "clouds",
             Self::Shadows => "shadows",
