@@ -4,16 +4,16 @@
     python calibration/train/ablation.py --model calibration/enet-sad-lite-320x160.onnx
 
 Lane model: trained on scenes without the element, judged on full unseen scenes and on real frames.
-Three seeds on full scenes give the spread to hold the differences against. Gap: a reference of
-drives without the element, and the scores of unseen full drives against it.
+Three seeds on full scenes give the spread to hold the differences against. Gap: between the same
+drives with and without the element, pooled, held against the gap to other drives of the same world.
 """
 
 from __future__ import annotations
 
+import argparse
 import json
 import subprocess
 import sys
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -21,17 +21,15 @@ import numpy as np
 from runs import Run, Variant, study_parser, train_all
 from scenes import SceneError
 from train import REPOSITORY
-from trials import Monitor, nominal_drives
+from network import TAPS
 
 SEEDS = (1, 2, 3)
-
-
-@dataclass(frozen=True)
-class Gap:
-    """Scores of unseen full drives: their median, and the 99th percentile over the frames."""
-
-    median: float
-    p99: float
+# Drives that are rendered with and without an element, and the other ones of the yardstick.
+DRIVES = "scene:sim?seed=1001..1060&seconds=2&fps=5"
+OTHER_DRIVES = (
+    "scene:sim?seed=1101..1160&seconds=2&fps=5",
+    "scene:sim?seed=1201..1260&seconds=2&fps=5",
+)
 
 
 def main() -> int:
@@ -49,55 +47,64 @@ def main() -> int:
         full = [Variant(f"full-{seed}", seed) for seed in SEEDS]
         left_out = [Variant(f"without-{element}", 1, ("--without", element)) for element in elements]
         runs = train_all(full + left_out, args)
-        gaps = [gap_without(element, args) for element in (None, *elements)]
+        others, gaps = gaps_of(elements, args)
     except (SceneError, OSError, subprocess.CalledProcessError) as error:
         print(f"ablation: {error}", file=sys.stderr)
         return 2
-    text = table(runs[: len(full)], dict(zip(elements, runs[len(full):], strict=True)),
-                 dict(zip((None, *elements), gaps, strict=True)))
     args.out.write_text(json.dumps({
         "scenes": args.scenes,
         "epochs": args.epochs,
         "runs": [{"name": run.variant.name, "iou": run.iou, "interval": run.interval,
                   "real_iou": run.real_iou} for run in runs],
-        "gap": {element or "full": vars(gap)
-                for element, gap in zip((None, *elements), gaps, strict=True)},
+        "gap_to_other_drives": others,
+        "gap_without": gaps,
     }, indent=1) + "\n", encoding="utf-8")
-    print(text)
+    print(table(runs[: len(full)], dict(zip(elements, runs[len(full):], strict=True)), others, gaps))
     return 0
 
 
-def gap_without(element: str | None, args: object) -> Gap:
-    """The gap of full drives against a reference that does not know the element."""
-    reference = args.work / f"reference-{element or 'full'}.json"
-    monitor = Monitor.calibrated(args.gapwatch, args.model, reference, element)
-    scores = np.concatenate(monitor.scores(nominal_drives()))
-    print(f"gap without {element or 'nothing'}: median score {np.median(scores):.2f}", flush=True)
-    return Gap(float(np.median(scores)), float(np.percentile(scores, 99)))
+def gaps_of(
+    elements: list[str], args: argparse.Namespace
+) -> tuple[list[list[float]], dict[str, list[float]]]:
+    """Jensen-Shannon divergences in bits, by tap: to other drives, and of each element left out."""
+    left_out = [f"{DRIVES}&without={element}" for element in elements]
+    command = [str(args.gapwatch), "compare", DRIVES, *OTHER_DRIVES, *left_out,
+               "--model", str(args.model), "--metric", "log-energy-js", "--format", "json"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode != 0:
+        raise SceneError(f"compare: {done.stderr.strip()}")
+    rows = [[row[tap] for tap in TAPS] for row in json.loads(done.stdout)]
+    # The reference itself may head the list.
+    rows = rows[-len(OTHER_DRIVES) - len(elements):]
+    return rows[: len(OTHER_DRIVES)], dict(zip(elements, rows[len(OTHER_DRIVES):], strict=True))
 
 
-def table(full: list[Run], left_out: dict[str, Run], gaps: dict[str | None, Gap]) -> str:
-    """The Markdown table of the study."""
-    rows = [
-        "| left out | lane IoU, full scenes | difference | lane IoU, real frames | difference "
-        "| score of full drives, median | 99th percentile |",
-        "|---|---|---|---|---|---|---|",
-    ]
+def table(
+    full: list[Run],
+    left_out: dict[str, Run],
+    others: list[list[float]],
+    gaps: dict[str, list[float]],
+) -> str:
+    """The Markdown table of the study; gaps as a share of that to other drives, the largest tap's."""
     ious = np.array([run.iou for run in full])
     real = np.array([run.real_iou for run in full]) if full[0].real_iou is not None else None
-    spread = f"{ious.min():.4f} to {ious.max():.4f}"
+    yardstick = np.mean(others, axis=0)
     real_spread = f"{real.min():.3f} to {real.max():.3f}" if real is not None else "left out"
-    rows.append(f"| nothing ({len(full)} seeds) | {spread} | | {real_spread} | "
-                f"| {gaps[None].median:.2f} | {gaps[None].p99:.2f} |")
+    rows = [
+        "| left out | lane IoU, full scenes | difference | lane IoU, real frames | difference "
+        "| gap, share of that to other drives |",
+        "|---|---|---|---|---|---|",
+        f"| nothing ({len(full)} seeds) | {ious.min():.4f} to {ious.max():.4f} | | {real_spread} | | |",
+    ]
     for element, run in left_out.items():
-        gap = gaps[element]
         against_real = ("left out", "")
         if real is not None:
             against_real = (f"{run.real_iou:.3f}", f"{run.real_iou - real.mean():+.3f}")
+        share = np.max(np.array(gaps[element]) / yardstick)
         rows.append(f"| {element} | {run.iou:.4f} | {run.iou - ious.mean():+.4f} "
-                    f"| {against_real[0]} | {against_real[1]} "
-                    f"| {gap.median:.2f} | {gap.p99:.2f} |")
-    return "\n".join(rows)
+                    f"| {against_real[0]} | {against_real[1]} | {share:.2f} |")
+    yard = ", ".join(f"{tap} {value:.5f}" for tap, value in zip(TAPS, yardstick, strict=True))
+    return "\n".join(rows) + f"\n\nGap to other drives, bits: {yard}."
 
 
 if __name__ == "__main__":
