@@ -64,6 +64,8 @@ def train_all(variants: list[Variant], args: argparse.Namespace) -> list[Run]:
         (TRAINING_SEED, args.scenes), (VALIDATION_SEED, VALIDATION_SCENES), (TEST_SEED, args.test)
     ):
         render(program, args.work, seed, count, SIZE, World())
+    missing = sum(not finished(onnx_of(variant, args)) for variant in variants)
+    print(f"{missing} of {len(variants)} runs are to be trained", flush=True)
     with ThreadPoolExecutor(2) as pool:
         done = list(pool.map(lambda variant: train_one(variant, program, args), variants))
     test = load(render(program, args.work, TEST_SEED, args.test, SIZE, World()), TEST_SEED, SIZE, 2)
@@ -89,12 +91,22 @@ def train_all(variants: list[Variant], args: argparse.Namespace) -> list[Run]:
     return runs
 
 
+def onnx_of(variant: Variant, args: argparse.Namespace) -> Path:
+    """Where the variant's model lies, trained or not."""
+    return args.work / "runs" / f"{args.scenes}x{args.epochs}" / f"{variant.name}.onnx"
+
+
+def finished(onnx: Path) -> bool:
+    """Whether the training of the model came to its end: the card is written last."""
+    return onnx.with_suffix(".md").is_file()
+
+
 def train_one(variant: Variant, program: Path, args: argparse.Namespace) -> Path:
     """The variant's ONNX file; trains it unless an earlier study of the same size did."""
-    folder = args.work / "runs" / f"{args.scenes}x{args.epochs}"
-    onnx = folder / f"{variant.name}.onnx"
-    if onnx.with_suffix(".md").is_file():
+    onnx = onnx_of(variant, args)
+    if finished(onnx):
         return onnx
+    folder = onnx.parent
     folder.mkdir(parents=True, exist_ok=True)
     command = [sys.executable, str(TRAINER), "--gapwatch", str(program), "--work", str(args.work),
                "--out", str(folder), "--name", variant.name, "--scenes", str(args.scenes),
@@ -112,4 +124,5 @@ def train_one(variant: Variant, program: Path, args: argparse.Namespace) -> Path
     log.write_text(done.stdout + done.stderr, encoding="utf-8")
     if done.returncode != 0:
         raise SceneError(f"{variant.name}: training failed; see {log}")
+    print(f"trained {variant.name}", flush=True)
     return onnx
