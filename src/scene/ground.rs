@@ -1,4 +1,4 @@
-//! Paints the ground of a moment, row by row: asphalt, paint, verge, snow and water, and the lane labels.
+//! Paints the ground of a moment, row by row: asphalt, paint, joints, verge, snow and water, and the lane labels.
 
 use super::canvas::Canvas;
 use super::conditions::{ConditionKind, RAIN_MIRROR, SNOW_ROAD, graded};
@@ -71,7 +71,7 @@ impl Moment<'_> {
             let (from_m, to_m) = layout.asphalt_m;
             let ground = if (from_m..to_m).contains(&d_m) {
                 let phase = d_m - layout.lane_width_m * (d_m / layout.lane_width_m).round();
-                let base = textures.asphalt(d_m, phase);
+                let base = textures.asphalt(d_m, phase, metres_a_pixel);
                 let painted = match paint.at(d_m, metres_a_pixel) {
                     Some((share, colour)) => blended(base, colour, share),
                     None => base,

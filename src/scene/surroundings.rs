@@ -12,6 +12,9 @@ pub struct Surroundings {
     asphalt_seed: u32,
     tracks: f32,
     patches: f32,
+    /// Offset of the joint along the road from each lane's middle, metres, and distance of joints across it.
+    joints: Option<(f32, f64)>,
+    joint_tone: f32,
     /// Darkness of the oil in the middle of lanes.
     oil: f32,
     /// Length after which textures repeat, metres; infinite in a world that does not repeat.
@@ -90,6 +93,13 @@ impl Surroundings {
             Look::Sim | Look::Game => draws.range("roughness", 0.06, 0.30),
             Look::Realistic => draws.range("roughness", 0.20, 0.50),
         };
+        let joint = draws.chance(
+            "joints",
+            match world.look {
+                Look::Sim | Look::Game => 0.4,
+                Look::Realistic => 0.8,
+            },
+        );
         Self {
             asphalt: [grey * (1.0 + tint), grey, grey * (1.0 - tint)],
             roughness: world.when(Element::Texture, rough, 0.0),
@@ -100,6 +110,13 @@ impl Surroundings {
                 0.0,
             ),
             patches: world.when(Element::Patches, draws.range("patches", 0.0, 0.45), 0.0),
+            joints: (world.has(Element::Joints) && joint).then(|| {
+                (
+                    draws.range("joint offset", 1.2, 1.9),
+                    f64::from(draws.range("joint spacing", 4.5, 30.0)),
+                )
+            }),
+            joint_tone: draws.range("joint tone", 0.35, 0.75),
             oil: match world.look {
                 Look::Sim | Look::Game => 0.0,
                 Look::Realistic => draws.range("oil", 0.05, 0.30),
@@ -139,6 +156,15 @@ impl Surroundings {
 
     /// Ground textures along one image row at arc length `s_m`; `length_m` is the row's stretch of road.
     pub fn ground_row(&self, s_m: f64, length_m: f32) -> GroundRow<'_> {
+        let across = self.joints.is_some_and(|(_, spacing_m)| {
+            let half_m = 0.5 * f64::from(length_m).max(0.06);
+            length_m < 2.0 && (s_m + half_m).rem_euclid(spacing_m) < 2.0 * half_m
+        });
+        let joint = if across {
+            (0.06 / length_m.max(0.06)).min(1.0)
+        } else {
+            0.0
+        };
         let s_m = if self.tile_m.is_finite() {
             s_m.rem_euclid(self.tile_m)
         } else {
@@ -146,6 +172,7 @@ impl Surroundings {
         };
         GroundRow {
             of: self,
+            joint,
             fine: NoiseRow::new(self.asphalt_seed, s_m / 0.25),
             coarse: NoiseRow::new(self.asphalt_seed ^ 1, s_m / 6.0),
             patch: NoiseRow::new(self.asphalt_seed ^ 2, s_m / 14.0),
@@ -252,6 +279,8 @@ impl Surroundings {
 /// Ground textures of one image row.
 pub struct GroundRow<'a> {
     of: &'a Surroundings,
+    /// Share of the row that is a joint across the road.
+    joint: f32,
     fine: NoiseRow,
     coarse: NoiseRow,
     patch: NoiseRow,
@@ -261,8 +290,9 @@ pub struct GroundRow<'a> {
 }
 
 impl GroundRow<'_> {
-    /// Asphalt at offset `d_m`; `lane_phase_m` is the distance to the nearest lane's middle.
-    pub fn asphalt(&self, d_m: f32, lane_phase_m: f32) -> Colour {
+    /// Asphalt at offset `d_m`; `lane_phase_m` is the distance to the nearest lane's middle, `width_m` what the pixel
+    /// covers across.
+    pub fn asphalt(&self, d_m: f32, lane_phase_m: f32, width_m: f32) -> Colour {
         let d = f64::from(d_m);
         let fine = (self.fine.at(d / 0.25) - 0.5) * self.fine_share;
         let coarse = self.coarse.at(d / 1.2) - 0.5;
@@ -272,11 +302,16 @@ impl GroundRow<'_> {
         } else {
             0.0
         };
+        let along = self.of.joints.map_or(0.0, |(at_m, _)| {
+            ((0.04 + 0.5 * width_m - (lane_phase_m - at_m).abs()) / width_m)
+                .clamp(0.0, (0.08 / width_m).min(1.0))
+        });
         let oil = self.of.oil * (1.0 - (lane_phase_m.abs() / 0.5).min(1.0));
         let tone = (1.0 + self.of.roughness * (1.6 * fine + coarse))
             * (1.0 + self.of.tracks * track)
             * (1.0 - 0.4 * patch)
-            * (1.0 - oil);
+            * (1.0 - oil)
+            * (1.0 - self.of.joint_tone * along.max(self.joint));
         scaled(self.of.asphalt, tone)
     }
 

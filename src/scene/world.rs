@@ -76,6 +76,8 @@ pub enum Element {
     Texture,
     /// Wheel tracks and mended patches.
     Patches,
+    /// Joints along and across the road.
+    Joints,
     /// Far hills.
     FarHills,
     /// Clouds.
@@ -94,7 +96,7 @@ pub enum Element {
 
 impl Element {
     /// All elements.
-    pub const ALL: [Self; 14] = [
+    pub const ALL: [Self; 15] = [
         Self::Curves,
         Self::Grades,
         Self::Motion,
@@ -102,6 +104,7 @@ impl Element {
         Self::YellowPaint,
         Self::Texture,
         Self::Patches,
+        Self::Joints,
         Self::FarHills,
         Self::Clouds,
         Self::Shadows,
@@ -121,6 +124,7 @@ impl Element {
             Self::YellowPaint => "yellow-paint",
             Self::Texture => "texture",
             Self::Patches => "patches",
+            Self::Joints => "joints",
             Self::FarHills => "far-hills",
             Self::Clouds => "clouds",
             Self::Shadows => "shadows",
