@@ -74,6 +74,8 @@ pub enum Reason {
     Starting,
     /// The short window is beyond its threshold.
     Abrupt,
+    /// The window is below its threshold, but has been near it for too long.
+    Drift,
     /// The picture is black.
     Black,
     /// The picture has one colour.
@@ -95,6 +97,7 @@ impl Reason {
             Self::None => "none",
             Self::Starting => "starting",
             Self::Abrupt => "abrupt",
+            Self::Drift => "drift",
             Self::Black => "black",
             Self::Uniform => "uniform",
             Self::TooSmall => "too-small",
@@ -132,6 +135,11 @@ pub enum Judgement {
         /// The detector has looked for at least one window's length.
         settled: bool,
     },
+    /// No window is beyond its threshold, but their sum over time is: evidence of a gap.
+    Drift {
+        /// As of a score.
+        settled: bool,
+    },
     /// No verdict.
     Cannot(Reason),
 }
@@ -150,6 +158,8 @@ pub struct Alarm {
     /// The frame before could be judged, so the time since then counts.
     sighted: bool,
     suspect_since: Option<Duration>,
+    /// What the last evidence was.
+    evidence: Reason,
 }
 
 impl Default for Alarm {
@@ -165,6 +175,7 @@ impl Default for Alarm {
             last_judged: None,
             sighted: false,
             suspect_since: None,
+            evidence: Reason::Abrupt,
         }
     }
 }
@@ -197,12 +208,17 @@ impl Alarm {
             self.last_frame = Some(now);
         }
         match judgement {
-            Judgement::Score { score, settled } => self.judged(now, score >= 1.0, settled),
+            Judgement::Score { score, settled } => {
+                self.judged(now, (score >= 1.0).then_some(Reason::Abrupt), settled);
+            }
+            Judgement::Drift { settled } => self.judged(now, Some(Reason::Drift), settled),
             Judgement::Cannot(reason) => self.not_judged(now, reason),
         }
     }
 
-    fn judged(&mut self, now: Duration, evidence: bool, settled: bool) {
+    fn judged(&mut self, now: Duration, found: Option<Reason>, settled: bool) {
+        let evidence = found.is_some();
+        self.evidence = found.unwrap_or(self.evidence);
         let since = match self.last_judged {
             Some(last) if self.sighted => now.saturating_sub(last).min(STEP_MAX),
             _ => Duration::ZERO,
@@ -231,9 +247,9 @@ impl Alarm {
             self.suspect_since.get_or_insert(now);
         }
         (self.state, self.reason) = match self.suspect_since {
-            _ if self.in_gap => (AlarmState::Gap, Reason::Abrupt),
+            _ if self.in_gap => (AlarmState::Gap, self.evidence),
             Some(since) if now.saturating_sub(since) <= SUSPECT_MAX => {
-                (AlarmState::Suspect, Reason::Abrupt)
+                (AlarmState::Suspect, self.evidence)
             }
             _ => (AlarmState::Ok, Reason::None),
         };
@@ -329,6 +345,26 @@ mod tests {
                 "{fps} frames/s: Ok at {ok} ms"
             );
         }
+    }
+
+    #[test]
+    fn a_drift_leads_to_a_gap_of_that_reason() {
+        let mut alarm = Alarm::default();
+        for tenth in 0..30 {
+            let judgement = if tenth < 15 {
+                Judgement::Score {
+                    score: 0.9,
+                    settled: tenth >= 10,
+                }
+            } else {
+                Judgement::Drift { settled: true }
+            };
+            alarm.step(Duration::from_millis(100) * tenth, judgement);
+        }
+        assert_eq!(
+            (alarm.state(), alarm.reason()),
+            (AlarmState::Gap, Reason::Drift)
+        );
     }
 
     #[test]

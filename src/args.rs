@@ -78,7 +78,8 @@ pub enum Speed {
 /// Make a reference from nominal drives or simulator images
 ///
 /// With several sources every second one is held out to scale the gaps; of a single one, its last third. A rendered
-/// drive with seed=A..B stands for one drive a seed.
+/// drive with seed=A..B stands for one drive a seed. Drives given with --held-out set the rate of false alarms (every
+/// second one) and judge it (the others); without them the reference says that its rate is not demonstrated.
 #[derive(Debug, Args)]
 #[command(after_help = format!("{SOURCES}\n\nExample:\n  gapwatch calibrate --sim town01 town02 --model lane.onnx --taps e2,e3,e4 \
     --size 800x288 --mean 0.36,0.37,0.37 --std 0.26,0.27,0.28 --out town.json"))]
@@ -86,8 +87,17 @@ pub struct CalibrateArgs {
     /// Nominal sources; each is one drive
     #[arg(long, value_name = "SOURCE", num_args = 1.., required = true)]
     pub sim: Vec<String>,
+    /// Roads that the lane model is known to bear; each argument is one more nominal domain
+    #[arg(long, value_name = "SOURCE", num_args = 1..)]
+    pub accept: Vec<String>,
+    /// Nominal drives that set and judge the rate of false alarms
+    #[arg(long, value_name = "SOURCE", num_args = 1..)]
+    pub held_out: Vec<String>,
+    /// Entries into Gap an hour of nominal driving
+    #[arg(long, value_name = "R", default_value_t = 1.0, value_parser = rate)]
+    pub false_alarms_per_hour: f64,
     /// How gaps are measured
-    #[arg(long, value_name = "NAME", default_value = "log-energy-js")]
+    #[arg(long, value_name = "NAME", default_value_t = Metric::DEFAULT)]
     pub metric: Metric,
     /// Length of the detector's window, seconds
     #[arg(long, value_name = "SECONDS", default_value_t = 1.0, value_parser = seconds)]
@@ -101,8 +111,9 @@ pub struct CalibrateArgs {
 
 /// Compare image sets: the first is the reference for the others
 #[derive(Debug, Args)]
-#[command(after_help = format!("{SOURCES}\n\nThe metric paper is a correlation (1 = alike), the others are divergences in bits \
-    (0 = alike).\n\nExample:\n  gapwatch compare town01 town05 highway 'random:' --metric all --format csv"))]
+#[command(after_help = format!("{SOURCES}\n\nThe metrics paper and ...-pearson are correlations (1 = alike), the others \
+    distances (0 = alike): chi2, js (bits), hellinger and w1 on attention or log-energy histograms; frechet and mahalanobis on \
+    channels. frechet needs twice as many images as channels.\n\nExample:\n  gapwatch compare town01 town05 highway 'random:' --metric all --format csv"))]
 pub struct CompareArgs {
     /// The reference, then the sets to compare with it
     #[arg(value_name = "SOURCE", required = true, num_args = 2..)]
@@ -254,9 +265,14 @@ fn seconds(text: &str) -> Result<f64, String> {
     seconds.ok_or_else(|| format!("wanted seconds from {WINDOW_S_MIN} to {WINDOW_S_MAX}"))
 }
 
+fn rate(text: &str) -> Result<f64, String> {
+    let rate = text.parse().ok().filter(|r| (1e-6..=3_600.0).contains(r));
+    rate.ok_or_else(|| "wanted entries an hour from 0.000001 to 3600".to_owned())
+}
+
 fn metrics(text: &str) -> Result<Metrics, String> {
     if text == "all" {
-        Ok(Metrics(Metric::ALL.to_vec()))
+        Ok(Metrics(Metric::all()))
     } else {
         text.parse().map(|metric| Metrics(vec![metric]))
     }

@@ -17,7 +17,7 @@ use gapwatch::encoder::Encoder;
 use gapwatch::frame::open;
 use gapwatch::model::ModelSpec;
 use gapwatch::reference::ModelFingerprint;
-use gapwatch::survey::{Survey, SurveyError};
+use gapwatch::survey::{Keep, Survey, SurveyError};
 use rayon::prelude::*;
 
 use crate::args::{Command, ModelArgs};
@@ -34,8 +34,14 @@ pub fn run(command: Command, out: &mut dyn Write) -> anyhow::Result<u8> {
     }
 }
 
-/// Most frames that are looked at in one go: their energy maps stay in memory, about 20 KB a frame of the built-in model.
-const FRAMES_MAX: u64 = 100_000;
+/// Most frames that are looked at in one go: their energy maps stay in memory, about 20 KB a frame of the built-in model,
+/// or 3 KB of channel means.
+const fn frames_max(keep: Keep) -> u64 {
+    match keep {
+        Keep::Maps => 100_000,
+        Keep::Channels => 600_000,
+    }
+}
 
 /// A loaded model with all that belongs to it.
 struct Model {
@@ -57,22 +63,23 @@ impl Model {
     }
 
     /// Looks at whole sources, several at a time; a source that cannot be opened fails before any is looked at.
-    fn survey(&self, sources: &[String], what: &str) -> anyhow::Result<Vec<Survey>> {
+    fn survey(&self, sources: &[String], keep: Keep, what: &str) -> anyhow::Result<Vec<Survey>> {
         let counts = sources
             .iter()
             .map(|name| Ok(open(name)?.frame_count()))
             .collect::<anyhow::Result<Vec<_>>>()?;
         let count: Option<u64> = counts.into_iter().sum();
-        if let Some(count) = count.filter(|&count| count > FRAMES_MAX) {
+        let most = frames_max(keep);
+        if let Some(count) = count.filter(|&count| count > most) {
             bail!(
-                "{count} frames in all; wanted at most {FRAMES_MAX}: take fewer or shorter drives, or a lower fps"
+                "{count} frames in all; wanted at most {most}: take fewer or shorter drives, or a lower fps"
             );
         }
         let bar = progress::frames(count, what);
         let surveys = sources
             .par_iter()
             .map(|name| {
-                Survey::of(name, &self.encoder, &self.spec.preprocessing, &|| {
+                Survey::of(name, &self.encoder, &self.spec.preprocessing, keep, &|| {
                     bar.inc(1)
                 })
             })

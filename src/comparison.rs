@@ -3,8 +3,10 @@
 use serde::Serialize;
 
 use crate::attention::EnergyMap;
-use crate::calibration::{PaperBinning, TapHistogram, counts_of};
-use crate::gap::Metric;
+use crate::calibration::{PaperBinning, TapHistogram, counts_of, median};
+use crate::energies::ChannelMeans;
+use crate::gap::moments::{self, ChannelNorm, Moments, channel_levels};
+use crate::gap::{Divergence, Metric, frechet};
 use crate::histogram::{Binning, HistogramSum};
 use crate::survey::Survey;
 use crate::undefined::Undefined;
@@ -95,26 +97,38 @@ impl ImageSet {
             .flat_map(move |survey| survey.common_maps(tap))
     }
 
+    /// Channel means of one tap, image by image.
+    fn channels(&self, tap: usize) -> impl Iterator<Item = Result<&ChannelMeans, Undefined>> {
+        let frames = self.surveys.iter().flat_map(|survey| &survey.frames);
+        frames.map(move |frame| match frame {
+            Ok(seen) => Ok(&seen.channels[tap]),
+            Err(why) => Err(why.clone()),
+        })
+    }
+
     /// The set as a reference: every image of it counts.
-    fn fit(
+    ///
+    /// # Errors
+    /// The first image that has no value.
+    fn every<T>(
         &self,
-        tap: usize,
-        metric: Metric,
-        paper: PaperBinning,
-    ) -> Result<TapHistogram, ComparisonError> {
-        let maps = self.maps(tap).enumerate().map(|(index, map)| {
-            map.map_err(|why| ComparisonError::Image {
+        items: impl Iterator<Item = Result<T, Undefined>>,
+    ) -> Result<Vec<T>, ComparisonError> {
+        let named = items.enumerate().map(|(index, item)| {
+            item.map_err(|why| ComparisonError::Image {
                 set: self.name.clone(),
                 number: index + 1,
                 why,
             })
         });
-        TapHistogram::fit(&maps.collect::<Result<Vec<_>, _>>()?, metric, paper).map_err(|why| {
-            ComparisonError::Set {
-                set: self.name.clone(),
-                why,
-            }
-        })
+        named.collect()
+    }
+
+    fn wrong(&self, why: Undefined) -> ComparisonError {
+        ComparisonError::Set {
+            set: self.name.clone(),
+            why,
+        }
     }
 
     /// Counts of the images that can be judged, and why the first of the others cannot.
@@ -130,6 +144,99 @@ impl ImageSet {
         }
         (sum, reason)
     }
+
+    /// Channel means of the images that can be judged, and why the first of the others cannot.
+    fn judged_channels(&self, tap: usize) -> (Vec<&ChannelMeans>, Option<Undefined>) {
+        let (mut judged, mut reason) = (Vec::new(), None);
+        for image in self.channels(tap) {
+            match image {
+                Ok(channels) => judged.push(channels),
+                Err(why) => {
+                    reason.get_or_insert(why);
+                }
+            }
+        }
+        (judged, reason)
+    }
+}
+
+/// What a metric holds sets against: the reference set, one tap.
+enum Against<'a> {
+    Histogram(Divergence, TapHistogram),
+    Channels(Vec<&'a ChannelMeans>),
+    Norm(ChannelNorm),
+}
+
+impl<'a> Against<'a> {
+    fn of(
+        reference: &'a ImageSet,
+        tap: usize,
+        metric: Metric,
+        paper: PaperBinning,
+    ) -> Result<Self, ComparisonError> {
+        let Some(divergence) = metric.divergence() else {
+            let channels = reference.every(reference.channels(tap))?;
+            if metric == Metric::Frechet {
+                return Ok(Self::Channels(channels));
+            }
+            let maps = reference.every(reference.maps(tap))?;
+            let peaks = maps.iter().map(|map| map.range().1).collect();
+            let epsilon = median(peaks).unwrap_or(1.0) * moments::EPSILON_SHARE;
+            let norm = ChannelNorm::fit(epsilon, &moments_of(&channels, epsilon), None);
+            return norm.map(Self::Norm).map_err(|why| reference.wrong(why));
+        };
+        let maps = reference.every(reference.maps(tap))?;
+        let maps: Vec<&EnergyMap> = maps.iter().collect();
+        TapHistogram::fit(&maps, metric, paper)
+            .map(|fitted| Self::Histogram(divergence, fitted))
+            .map_err(|why| reference.wrong(why))
+    }
+
+    /// The metric's number of a set, how many of its images could be judged, and its counts if there are any.
+    fn compare(
+        &self,
+        set: &ImageSet,
+        tap: usize,
+    ) -> (Result<f64, Undefined>, u64, Option<HistogramSum>) {
+        if let Self::Histogram(divergence, nominal) = self {
+            let (sum, reason) = set.sum(tap, &nominal.binning);
+            let value = match reason {
+                Some(reason) if sum.images == 0 => Err(reason),
+                _ => divergence
+                    .compare(&sum.counts, &nominal.sum.counts)
+                    .map(|compared| compared.value),
+            };
+            return (value, sum.images, Some(sum));
+        }
+        let (judged, reason) = set.judged_channels(tap);
+        let images = judged.len() as u64;
+        let value = match (self, reason) {
+            (_, Some(reason)) if judged.is_empty() => Err(reason),
+            (Self::Channels(reference), _) => {
+                let activations = |of: &[&ChannelMeans]| -> Vec<Vec<f64>> {
+                    of.iter().map(|image| image.activation.clone()).collect()
+                };
+                frechet::distance(&activations(reference), &activations(&judged))
+            }
+            (Self::Norm(norm), _) => {
+                let sum = moments_of(&judged, norm.epsilon);
+                Ok(norm.distance(sum.sums(), judged.len()))
+            }
+            (Self::Histogram(..), _) => Err(Undefined::NoScore),
+        };
+        (value, images, None)
+    }
+}
+
+fn moments_of(images: &[&ChannelMeans], epsilon: f64) -> Moments {
+    let channels = images.first().map_or(0, |image| image.energy.len());
+    let mut moments = Moments::new(channels);
+    let mut levels = vec![0; channels];
+    for image in images {
+        channel_levels(&image.energy, epsilon, &mut levels);
+        moments.add(&levels);
+    }
+    moments
 }
 
 /// Compares sets with a reference by several metrics.
@@ -145,24 +252,27 @@ pub fn compare(
 ) -> Result<Comparisons, ComparisonError> {
     let mut all = Comparisons::default();
     for &metric in metrics {
-        let fitted = (0..taps.len())
-            .map(|tap| reference.fit(tap, metric, paper))
+        let against = (0..taps.len())
+            .map(|tap| Against::of(reference, tap, metric, paper))
             .collect::<Result<Vec<_>, _>>()?;
-        let record = |set: &ImageSet, tap: usize, sum: HistogramSum| HistogramRecord {
-            set: set.name.clone(),
-            metric,
-            tap: taps[tap].clone(),
-            median_peak_energy: fitted[tap].median_peak_energy,
-            binning: fitted[tap].binning.clone(),
-            images: sum.images,
-            counts: sum.counts,
+        let record = |set: &str, tap: usize, sum: HistogramSum| match &against[tap] {
+            Against::Histogram(_, nominal) => Some(HistogramRecord {
+                set: set.to_owned(),
+                metric,
+                tap: taps[tap].clone(),
+                median_peak_energy: nominal.median_peak_energy,
+                binning: nominal.binning.clone(),
+                images: sum.images,
+                counts: sum.counts,
+            }),
+            _ => None,
         };
-        all.histograms.extend(
-            fitted
-                .iter()
-                .enumerate()
-                .map(|(tap, own)| record(reference, tap, own.sum.clone())),
-        );
+        for (tap, own) in against.iter().enumerate() {
+            if let Against::Histogram(_, nominal) = own {
+                all.histograms
+                    .extend(record(&reference.name, tap, nominal.sum.clone()));
+            }
+        }
         for set in sets {
             let mut row = Row {
                 set: set.name.clone(),
@@ -171,16 +281,12 @@ pub fn compare(
                 judged: u64::MAX,
                 values: vec![],
             };
-            for (tap, nominal) in fitted.iter().enumerate() {
-                let (sum, reason) = set.sum(tap, &nominal.binning);
-                row.judged = row.judged.min(sum.images);
-                row.values.push(match reason {
-                    Some(reason) if sum.images == 0 => Err(reason),
-                    _ => metric
-                        .compare(&sum.counts, &nominal.sum.counts)
-                        .map(|compared| compared.value),
-                });
-                all.histograms.push(record(set, tap, sum));
+            for (tap, own) in against.iter().enumerate() {
+                let (value, judged, sum) = own.compare(set, tap);
+                row.judged = row.judged.min(judged);
+                row.values.push(value);
+                all.histograms
+                    .extend(sum.and_then(|sum| record(&set.name, tap, sum)));
             }
             all.rows.push(row);
         }

@@ -1,18 +1,29 @@
-//! Histograms over time → evidence: the gap of a short window, scaled by what is nominal for its number of frames.
+//! Frames over time → evidence: the gap of a short window, scaled by what is nominal for its number of frames, for abrupt
+//! change; and a cumulative sum of scores (CUSUM, Page 1954) for slow drift.
 
 use std::time::Duration;
 
 use heapless::Deque;
 
+use crate::alarm::Judgement;
 use crate::gap::Metric;
 use crate::model::TAPS_MAX;
-use crate::reference::{Reference, TapReference};
+use crate::reference::{Component, Reference};
 use crate::undefined::Undefined;
 
 /// Most frames a window holds; at higher frame rates it spans less time than asked for.
 pub const WINDOW_FRAMES_MAX: usize = 32;
 /// A pause longer than this many windows is a hole in time: what was seen before it says nothing about now.
 const HOLE_WINDOWS: u32 = 2;
+/// Score that the cumulative sum leaves out: drift is what stays above it. Three quarters of the way from the nominal median
+/// to the threshold, so that only what is nearly an alarm adds up.
+const DRIFT_SLACK: f64 = 0.75;
+/// One window adds as if its score were this at most: a short burst is the window's business.
+const DRIFT_SCORE_MAX: f64 = 2.0;
+/// Score seconds above the slack that are a drift: 20 s at the threshold itself.
+const DRIFT_LIMIT_S: f64 = 5.0;
+/// The sum stops at this share of its limit, so that a drift that has ended is soon forgotten.
+const DRIFT_MAX: f64 = 1.2;
 
 /// What one block says of the window.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -30,23 +41,64 @@ pub struct BlockScore {
 pub struct Evidence {
     /// The largest score of the blocks.
     pub score: f64,
-    /// One entry a tap.
+    /// One entry a tap, against the nearest nominal domain.
     pub blocks: heapless::Vec<BlockScore, TAPS_MAX>,
+    /// The nearest nominal domain, by its place in the reference.
+    pub component: usize,
+    /// How far the scores have added up: 1 is a drift.
+    pub drift: f64,
     /// Frames in the window.
     pub frames: usize,
     /// Share of the window's length looked at without a hole, 0..1.
     pub fill: f64,
 }
 
-/// Rolling histograms of the last moments against a reference. Allocates nothing after it is made.
+impl Evidence {
+    /// What the evidence contributes to the alarm.
+    pub fn judgement(&self) -> Judgement {
+        judgement(self.score, self.drift, self.fill >= 1.0)
+    }
+}
+
+/// What a score and a drift contribute to the alarm.
+pub fn judgement(score: f64, drift: f64, settled: bool) -> Judgement {
+    if score < 1.0 && drift >= 1.0 {
+        Judgement::Drift { settled }
+    } else {
+        Judgement::Score { score, settled }
+    }
+}
+
+/// Adds scores up over time.
+#[derive(Clone, Debug, Default)]
+pub struct Cusum {
+    sum_s: f64,
+    last: Option<Duration>,
+}
+
+impl Cusum {
+    /// Adds the score of a window that was seen at `now`; what the sum is then, 1 at its limit.
+    pub fn add(&mut self, now: Duration, score: f64) -> f64 {
+        let since_s = self
+            .last
+            .replace(now)
+            .map_or(0.0, |last| now.saturating_sub(last).as_secs_f64());
+        let above = score.min(DRIFT_SCORE_MAX) - DRIFT_SLACK;
+        self.sum_s = (self.sum_s + above * since_s).clamp(0.0, DRIFT_MAX * DRIFT_LIMIT_S);
+        self.sum_s / DRIFT_LIMIT_S
+    }
+}
+
+/// Rolling sums of the last moments against a reference. Allocates nothing after it is made.
 #[derive(Debug)]
 pub struct Detector {
     metric: Metric,
-    taps: Vec<TapReference>,
+    components: Vec<Component>,
+    cusum: Cusum,
     span: Duration,
     /// When each frame in the window was seen, oldest first.
     times: Deque<Duration, WINDOW_FRAMES_MAX>,
-    /// Counts of the frames, a ring of `WINDOW_FRAMES_MAX` slots.
+    /// What was taken of the frames, a ring of `WINDOW_FRAMES_MAX` slots.
     ring: Vec<u32>,
     /// The slot that is written next.
     next_slot: usize,
@@ -58,14 +110,21 @@ pub struct Detector {
 impl Detector {
     /// A detector that has seen nothing.
     pub fn new(reference: &Reference) -> Self {
-        Self::of(reference.metric, reference.taps.clone(), reference.window_s)
+        Self::of(
+            reference.metric,
+            reference.components.clone(),
+            reference.window_s,
+        )
     }
 
-    fn of(metric: Metric, taps: Vec<TapReference>, window_s: f64) -> Self {
-        let bins: usize = taps.iter().map(|tap| tap.binning.bins()).sum();
+    /// A detector against some nominal domains.
+    pub fn of(metric: Metric, components: Vec<Component>, window_s: f64) -> Self {
+        let taps = components.iter().flat_map(|component| &component.taps);
+        let bins: usize = taps.map(|tap| tap.nominal.len()).sum();
         Self {
             metric,
-            taps,
+            components,
+            cusum: Cusum::default(),
             span: Duration::from_secs_f64(window_s),
             times: Deque::new(),
             ring: vec![0; bins * WINDOW_FRAMES_MAX],
@@ -75,12 +134,12 @@ impl Detector {
         }
     }
 
-    /// Bins of all taps together: the length of the counts of a frame.
-    pub fn bins(&self) -> usize {
+    /// Numbers taken of a frame: for each nominal domain, tap after tap.
+    pub fn taken_len(&self) -> usize {
         self.sums.len()
     }
 
-    /// Adds a frame's counts, `[bins]` of all taps one after the other, and compares the window with the reference.
+    /// Adds what was taken of a frame, `[taken_len]`, and compares the window with the reference.
     ///
     /// # Errors
     /// Why the window has no gap.
@@ -110,17 +169,52 @@ impl Detector {
         // There is room: a full window has lost its oldest above.
         let _ = self.times.push_back(now);
         let began = *self.began.get_or_insert(now);
-        self.evidence(((now - began).as_secs_f64() / self.span.as_secs_f64()).min(1.0))
+        let fill = ((now - began).as_secs_f64() / self.span.as_secs_f64()).min(1.0);
+        let mut evidence = self.evidence(fill)?;
+        if fill >= 1.0 {
+            evidence.drift = self.cusum.add(now, evidence.score);
+        }
+        Ok(evidence)
     }
 
+    /// The evidence of the nominal domain that the window lies nearest to.
     fn evidence(&self, fill: f64) -> Result<Evidence, Undefined> {
+        let mut sums = self.sums.as_slice();
+        let mut nearest: Option<Evidence> = None;
+        for (index, component) in self.components.iter().enumerate() {
+            let len = component.taps.iter().map(|tap| tap.nominal.len()).sum();
+            let (own, rest) = sums.split_at(len);
+            sums = rest;
+            let blocks = self.blocks(component, own)?;
+            let score = blocks
+                .iter()
+                .map(|block| block.score)
+                .fold(f64::NEG_INFINITY, f64::max);
+            if nearest.as_ref().is_none_or(|nearest| score < nearest.score) {
+                nearest = Some(Evidence {
+                    score,
+                    blocks,
+                    component: index,
+                    drift: 0.0,
+                    frames: self.times.len(),
+                    fill,
+                });
+            }
+        }
+        nearest.ok_or(Undefined::NoScore)
+    }
+
+    fn blocks(
+        &self,
+        component: &Component,
+        mut sums: &[u64],
+    ) -> Result<heapless::Vec<BlockScore, TAPS_MAX>, Undefined> {
         let frames = self.times.len();
         let mut blocks = heapless::Vec::new();
-        let mut sums = self.sums.as_slice();
-        for tap in &self.taps {
-            let (live, rest) = sums.split_at(tap.counts.len());
+        for tap in &component.taps {
+            let (live, rest) = sums.split_at(tap.nominal.len());
             sums = rest;
-            let compared = self.metric.compare(live, &tap.counts)?;
+            let compared = tap.nominal.compare(self.metric, live, frames)?;
             let (median, threshold) = tap.scale_for(frames);
             let score = (compared.gap - median) / (threshold - median);
             if !score.is_finite() {
@@ -133,16 +227,7 @@ impl Detector {
                 score,
             });
         }
-        let score = blocks
-            .iter()
-            .map(|block| block.score)
-            .fold(f64::NEG_INFINITY, f64::max);
-        Ok(Evidence {
-            score,
-            blocks,
-            frames,
-            fill,
-        })
+        Ok(blocks)
     }
 
     fn forget_oldest(&mut self) {
@@ -161,6 +246,7 @@ impl Detector {
         self.times.clear();
         self.sums.fill(0);
         self.began = None;
+        self.cusum = Cusum::default();
     }
 }
 
@@ -169,23 +255,32 @@ mod tests {
     #![allow(
         clippy::unwrap_used,
         clippy::float_cmp,
-        clippy::cast_possible_truncation
+        clippy::cast_possible_truncation,
+        clippy::cast_precision_loss
     )]
     use super::*;
     use crate::histogram::Binning;
-    use crate::reference::ScalePoint;
+    use crate::gap::Divergence;
+    use crate::reference::{Nominal, ScalePoint, TapReference};
 
     /// A detector of one tap with four bins, nominal (1, 1, 1, 1), median 0.1 and threshold 0.3 for any window.
     fn detector(window_s: f64) -> Detector {
+        let metric = Metric::LogEnergy(Divergence::JensenShannon);
+        Detector::of(metric, vec![component(vec![1; 4])], window_s)
+    }
+
+    fn component(counts: Vec<u64>) -> Component {
         let tap = TapReference {
             tap: "e2".into(),
             median_peak_energy: 1.0,
-            binning: Binning::LogEnergy {
-                epsilon: 1e-6,
-                edges: vec![0.0, 1.0, 2.0],
-            },
             images: 1,
-            counts: vec![1; 4],
+            nominal: Nominal::Histogram {
+                binning: Binning::LogEnergy {
+                    epsilon: 1e-6,
+                    edges: vec![0.0, 1.0, 2.0],
+                },
+                counts,
+            },
             scale: vec![ScalePoint {
                 frames: 1,
                 windows: 9,
@@ -193,7 +288,47 @@ mod tests {
                 threshold: 0.3,
             }],
         };
-        Detector::of(Metric::LogEnergyJs, vec![tap], window_s)
+        Component {
+            name: "simulation".into(),
+            taps: vec![tap],
+        }
+    }
+
+    #[test]
+    fn the_nearest_nominal_domain_counts() {
+        let metric = Metric::LogEnergy(Divergence::JensenShannon);
+        let two = vec![component(vec![1, 1, 0, 0]), component(vec![0, 0, 1, 1])];
+        let mut detector = Detector::of(metric, two, 1.0);
+        let seen = detector.observe(at(0), &[0, 0, 7, 7, 0, 0, 7, 7]).unwrap();
+        assert_eq!((seen.component, seen.blocks[0].gap), (1, 0.0));
+    }
+
+    #[test]
+    fn scores_below_the_threshold_add_up_to_a_drift_at_any_rate() {
+        for step_ms in [20, 100, 500] {
+            let first_drift_s = |score: f64| {
+                let mut cusum = Cusum::default();
+                (0..60_000 / step_ms)
+                    .find(|&i| cusum.add(at(i * step_ms), score) >= 1.0)
+                    .map(|i| (i * step_ms) as f64 / 1_000.0)
+            };
+            assert_eq!(first_drift_s(0.7), None);
+            // 5 s of score above 0.75: 20 s at the threshold, 4 s at twice it and more.
+            for (score, wanted_s) in [(1.0, 20.0), (2.0, 4.0), (90.0, 4.0)] {
+                let found_s = first_drift_s(score).unwrap();
+                assert!((found_s - wanted_s).abs() <= 0.5, "{score}: {found_s} s");
+            }
+        }
+    }
+
+    #[test]
+    fn a_drift_that_has_ended_is_forgotten_within_eight_seconds() {
+        let mut cusum = Cusum::default();
+        (0..600).for_each(|i| {
+            cusum.add(at(100 * i), 2.0);
+        });
+        let left = (600..680).map(|i| cusum.add(at(100 * i), 0.0)).last();
+        assert!(left.unwrap() <= 0.01);
     }
 
     fn at(ms: u64) -> Duration {

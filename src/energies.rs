@@ -1,7 +1,7 @@
 //! Frame → energy maps of the tapped blocks: preprocessing, encoder and attention in one stage with its buffers.
 
 use crate::attention::{EnergyMap, common_size, energy_from_features};
-use crate::encoder::{Encoder, EncoderError, EncoderSession};
+use crate::encoder::{Encoder, EncoderError, EncoderSession, FeatureMap};
 use crate::frame::{Frame, Picture};
 use crate::lane::LaneMask;
 use crate::preprocess::{Preprocessing, Preprocessor};
@@ -14,7 +14,17 @@ pub struct EnergyStage {
     taps: Vec<String>,
     common: (usize, usize),
     maps: Vec<EnergyMap>,
+    channels: Vec<ChannelMeans>,
     lane: Option<LaneMask>,
+}
+
+/// Means over the map of one block's channels.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct ChannelMeans {
+    /// `[channels]`, mean activation.
+    pub activation: Vec<f64>,
+    /// `[channels]`, mean squared activation: the energy that the channel contributes to each cell.
+    pub energy: Vec<f64>,
 }
 
 impl EnergyStage {
@@ -29,6 +39,7 @@ impl EnergyStage {
             taps: encoder.taps().to_vec(),
             common: common_size(preprocessing.width, preprocessing.height),
             maps: vec![EnergyMap::default(); encoder.taps().len()],
+            channels: vec![ChannelMeans::default(); encoder.taps().len()],
             lane: encoder.has_lane().then(LaneMask::default),
         })
     }
@@ -57,13 +68,20 @@ impl EnergyStage {
     pub fn energies_of(&mut self, picture: &Picture) -> Result<&[EnergyMap], Undefined> {
         let input = self.preprocessor.input(picture)?;
         let features = self.session.run(input).map_err(Undefined::Encoder)?;
-        for ((tap, features), map) in self.taps.iter().zip(&features).zip(&mut self.maps) {
+        let blocks = self.maps.iter_mut().zip(&mut self.channels);
+        for ((tap, features), (map, channels)) in self.taps.iter().zip(&features).zip(blocks) {
             energy_from_features(tap, features, map)?;
+            channels.take(features);
         }
         if let (Some(lane), Some(logits)) = (&mut self.lane, features.get(self.taps.len())) {
             lane.read(logits);
         }
         Ok(&self.maps)
+    }
+
+    /// Channel means of the last picture that was judged, one entry a tap.
+    pub fn channels(&self) -> &[ChannelMeans] {
+        &self.channels
     }
 
     /// What the encoder saw of the last picture.
@@ -74,5 +92,26 @@ impl EnergyStage {
     /// The lane head's answer to the last picture that was judged; `None` of an encoder loaded without it.
     pub fn lane(&self) -> Option<&LaneMask> {
         self.lane.as_ref()
+    }
+}
+
+impl ChannelMeans {
+    /// Takes over a block's feature map; allocates only when the number of channels changes.
+    fn take(&mut self, features: &FeatureMap<'_>) {
+        let [channels, height, width] = features.shape;
+        let cells = (height * width).max(1);
+        // Sizes of feature maps are far below 2^52.
+        #[allow(clippy::cast_precision_loss)]
+        let share = 1.0 / cells as f64;
+        self.activation.resize(channels, 0.0);
+        self.energy.resize(channels, 0.0);
+        let means = self.activation.iter_mut().zip(&mut self.energy);
+        for (channel, (activation, energy)) in features.activations.chunks_exact(cells).zip(means) {
+            let (sum, squares) = channel.iter().fold((0.0, 0.0), |(sum, squares), &a| {
+                let a = f64::from(a);
+                (sum + a, squares + a * a)
+            });
+            (*activation, *energy) = (sum * share, squares * share);
+        }
     }
 }

@@ -1,7 +1,12 @@
-//! Histograms against a reference → gap: one number a block, 0 for the same domain.
+//! Histograms or channel energies against a reference → gap: one number a block, 0 for the same domain.
 
+mod chi_square;
+pub mod frechet;
+mod hellinger;
 mod jensen_shannon;
+pub mod moments;
 mod pearson;
+mod wasserstein;
 
 use std::fmt;
 use std::str::FromStr;
@@ -17,28 +22,55 @@ pub const PAPER_LEVELS: usize = 256;
 /// First level that the paper counts: bins 0..100 are left out.
 pub const PAPER_FIRST_LEVEL: usize = 101;
 
-/// A gap metric: how pixels are counted, and how two histograms are compared.
+/// A gap metric: what is taken of a frame, and how that is compared with a reference.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
+#[serde(try_from = "String", into = "String")]
 pub enum Metric {
     /// As published: softmax attention at T = 10, bins 101..255, Pearson's correlation.
     Paper,
-    /// Softmax attention at a temperature that fits the reference, all bins, Jensen-Shannon divergence.
-    AttentionJs,
-    /// Logarithm of the energy in bins of equal mass on the reference, Jensen-Shannon divergence.
-    LogEnergyJs,
+    /// Softmax attention at a temperature that fits the reference, all bins.
+    Attention(Divergence),
+    /// Logarithm of the energy in bins of equal mass on the reference.
+    LogEnergy(Divergence),
+    /// Frechet distance of the channels' means (FID's formula, the paper's eq. 1).
+    Frechet,
+    /// Squared Mahalanobis distance of the channels' log energies.
+    Mahalanobis,
 }
 
-impl Metric {
-    /// All metrics.
-    pub const ALL: [Self; 3] = [Self::Paper, Self::AttentionJs, Self::LogEnergyJs];
+/// How two histograms are compared.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Divergence {
+    /// Pearson's correlation.
+    Pearson,
+    /// Chi-square distance.
+    ChiSquare,
+    /// Jensen-Shannon divergence, bits.
+    JensenShannon,
+    /// Hellinger distance.
+    Hellinger,
+    /// First Wasserstein distance.
+    Wasserstein,
+}
 
-    /// The name used in commands and files.
+impl Divergence {
+    /// All of them.
+    pub const ALL: [Self; 5] = [
+        Self::Pearson,
+        Self::ChiSquare,
+        Self::JensenShannon,
+        Self::Hellinger,
+        Self::Wasserstein,
+    ];
+
+    /// The end of a metric's name.
     pub fn name(self) -> &'static str {
         match self {
-            Self::Paper => "paper",
-            Self::AttentionJs => "attention-js",
-            Self::LogEnergyJs => "log-energy-js",
+            Self::Pearson => "pearson",
+            Self::ChiSquare => "chi2",
+            Self::JensenShannon => "js",
+            Self::Hellinger => "hellinger",
+            Self::Wasserstein => "w1",
         }
     }
 
@@ -47,26 +79,62 @@ impl Metric {
     /// # Errors
     /// `EmptyHistogram` or `ConstantHistogram` when the comparison has no value.
     pub fn compare(self, a: &[u64], b: &[u64]) -> Result<Comparison, Undefined> {
-        match self {
-            Self::Paper => pearson::correlation(a, b).map(|r| Comparison {
-                value: r,
-                gap: 1.0 - r,
-                similarity: r,
-            }),
-            Self::AttentionJs | Self::LogEnergyJs => {
-                jensen_shannon::divergence_bits(a, b).map(|d| Comparison {
-                    value: d,
-                    gap: d,
-                    similarity: 1.0 - d,
-                })
+        let value = match self {
+            Self::Pearson => {
+                let r = pearson::correlation(a, b)?;
+                return Ok(Comparison {
+                    value: r,
+                    gap: 1.0 - r,
+                    similarity: r,
+                });
             }
+            Self::ChiSquare => chi_square::distance(a, b)?,
+            Self::JensenShannon => jensen_shannon::divergence_bits(a, b)?,
+            Self::Hellinger => hellinger::distance(a, b)?,
+            Self::Wasserstein => wasserstein::distance(a, b)?,
+        };
+        Ok(Comparison {
+            value,
+            gap: value,
+            similarity: 1.0 - value,
+        })
+    }
+}
+
+impl Metric {
+    /// The metric that decides unless another is asked for; `calibration/RESULTS.md` has the comparison.
+    pub const DEFAULT: Self = Self::Mahalanobis;
+
+    /// All metrics.
+    pub fn all() -> Vec<Self> {
+        let of = |kind: fn(Divergence) -> Self| Divergence::ALL.map(kind);
+        [Self::Paper]
+            .into_iter()
+            .chain(of(Self::Attention))
+            .chain(of(Self::LogEnergy))
+            .chain([Self::Frechet, Self::Mahalanobis])
+            .collect()
+    }
+
+    /// How its histograms are compared; `None` of a metric that counts none.
+    pub fn divergence(self) -> Option<Divergence> {
+        match self {
+            Self::Paper => Some(Divergence::Pearson),
+            Self::Attention(divergence) | Self::LogEnergy(divergence) => Some(divergence),
+            Self::Frechet | Self::Mahalanobis => None,
         }
     }
 }
 
 impl fmt::Display for Metric {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(self.name())
+        match self {
+            Self::Paper => f.pad("paper"),
+            Self::Attention(divergence) => f.pad(&format!("attention-{}", divergence.name())),
+            Self::LogEnergy(divergence) => f.pad(&format!("log-energy-{}", divergence.name())),
+            Self::Frechet => f.pad("frechet"),
+            Self::Mahalanobis => f.pad("mahalanobis"),
+        }
     }
 }
 
@@ -74,23 +142,58 @@ impl FromStr for Metric {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let names = Self::ALL.map(Self::name).join(", ");
-        Self::ALL
-            .into_iter()
-            .find(|m| m.name() == text)
-            .ok_or_else(|| format!("wanted one of {names}"))
+        let all = Self::all();
+        all.iter()
+            .copied()
+            .find(|metric| metric.to_string() == text)
+            .ok_or_else(|| {
+                let names: Vec<String> = all.iter().map(ToString::to_string).collect();
+                format!("wanted one of {}", names.join(", "))
+            })
+    }
+}
+
+impl TryFrom<String> for Metric {
+    type Error = String;
+
+    fn try_from(text: String) -> Result<Self, String> {
+        text.parse()
+    }
+}
+
+impl From<Metric> for String {
+    fn from(metric: Metric) -> Self {
+        metric.to_string()
     }
 }
 
 /// What a metric says of two histograms.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Comparison {
-    /// The metric's own number: a correlation for `paper`, a divergence in bits for the others.
+    /// The metric's own number: a correlation, or a distance.
     pub value: f64,
     /// Larger is worse; 0 for equal histograms.
     pub gap: f64,
     /// Larger is better; 1 for equal histograms.
     pub similarity: f64,
+}
+
+/// Bin by bin, the shares of their totals that two histograms have.
+///
+/// # Errors
+/// `EmptyHistogram` when one has no count.
+#[allow(clippy::cast_precision_loss)]
+fn shares<'a>(
+    a: &'a [u64],
+    b: &'a [u64],
+) -> Result<impl Iterator<Item = (f64, f64)> + 'a, Undefined> {
+    let (total_a, total_b): (u64, u64) = (a.iter().sum(), b.iter().sum());
+    if total_a == 0 || total_b == 0 {
+        return Err(Undefined::EmptyHistogram);
+    }
+    Ok(a.iter()
+        .zip(b)
+        .map(move |(&a, &b)| (a as f64 / total_a as f64, b as f64 / total_b as f64)))
 }
 
 #[cfg(test)]
@@ -102,7 +205,7 @@ mod tests {
     proptest! {
         #[test]
         fn a_histogram_with_itself_has_similarity_1(counts in prop::collection::vec(0..10_000_u64, 4..80)) {
-            for metric in Metric::ALL {
+            for metric in Divergence::ALL {
                 match metric.compare(&counts, &counts) {
                     Ok(same) => prop_assert!((same.similarity - 1.0).abs() < 1e-12 && same.gap.abs() < 1e-12),
                     Err(why) => prop_assert!(matches!(why, Undefined::EmptyHistogram | Undefined::ConstantHistogram)),
@@ -115,7 +218,7 @@ mod tests {
             a in prop::collection::vec(0..1_000_u64, 16), b in prop::collection::vec(0..1_000_u64, 16), times in 2..9_u64
         ) {
             let more: Vec<u64> = a.iter().map(|n| n * times).collect();
-            for metric in Metric::ALL {
+            for metric in Divergence::ALL {
                 let (Ok(ab), Ok(ba)) = (metric.compare(&a, &b), metric.compare(&b, &a)) else { continue };
                 prop_assert!((ab.value - ba.value).abs() < 1e-12);
                 prop_assert!((-1.0..=1.0).contains(&ab.value));
@@ -126,8 +229,8 @@ mod tests {
 
     #[test]
     fn names_are_read_back() {
-        for metric in Metric::ALL {
-            assert_eq!(metric.name().parse(), Ok(metric));
+        for metric in Metric::all() {
+            assert_eq!(metric.to_string().parse(), Ok(metric));
         }
         assert!("js".parse::<Metric>().unwrap_err().contains("attention-js"));
     }

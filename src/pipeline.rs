@@ -8,18 +8,21 @@ use crate::detector::{BlockScore, Detector, Evidence};
 use crate::encoder::{Encoder, EncoderError};
 use crate::energies::EnergyStage;
 use crate::frame::Frame;
-use crate::histogram::Binning;
 use crate::model::TAPS_MAX;
-use crate::reference::Reference;
+use crate::reference::{Component, Reference};
 use crate::undefined::Undefined;
 
 /// Watches one camera against one reference.
 pub struct Monitor {
     stage: EnergyStage,
-    binnings: Vec<Binning>,
-    upsamplers: Vec<Option<Upsampler>>,
-    common: EnergyMap,
-    counts: Vec<u32>,
+    components: Vec<Component>,
+    /// Energy maps are looked at, not only channels.
+    needs_maps: bool,
+    /// By tap, once the sizes of the maps are known.
+    upsamplers: Vec<Upsampler>,
+    /// By tap, energy maps at the common size.
+    common: Vec<EnergyMap>,
+    taken: Vec<u32>,
     detector: Detector,
     alarm: Alarm,
 }
@@ -59,14 +62,11 @@ impl Monitor {
         let detector = Detector::new(reference);
         Ok(Self {
             stage,
-            binnings: reference
-                .taps
-                .iter()
-                .map(|tap| tap.binning.clone())
-                .collect(),
-            upsamplers: vec![None; reference.taps.len()],
-            common: EnergyMap::default(),
-            counts: vec![0; detector.bins()],
+            components: reference.components.clone(),
+            needs_maps: reference.metric.divergence().is_some(),
+            upsamplers: Vec::new(),
+            common: vec![EnergyMap::default(); reference.model.taps.len()],
+            taken: vec![0; detector.taken_len()],
             detector,
             alarm: Alarm::default(),
         })
@@ -76,15 +76,12 @@ impl Monitor {
     pub fn step(&mut self, frame: &Frame) -> Verdict {
         let now = frame.captured_at;
         let evidence = self
-            .count(frame)
-            .and_then(|()| self.detector.observe(now, &self.counts));
+            .take(frame)
+            .and_then(|()| self.detector.observe(now, &self.taken));
         self.alarm.step(
             now,
             match &evidence {
-                Ok(seen) => Judgement::Score {
-                    score: seen.score,
-                    settled: seen.fill >= 1.0,
-                },
+                Ok(seen) => seen.judgement(),
                 Err(why) => Judgement::Cannot(Reason::from(why)),
             },
         );
@@ -126,20 +123,29 @@ impl Monitor {
         Some(self.verdict(at, None, Err(Undefined::Silence)))
     }
 
-    /// Fills `counts` with the histograms of one frame, tap after tap.
-    fn count(&mut self, frame: &Frame) -> Result<(), Undefined> {
+    /// Fills `taken` with what each nominal domain looks at in one frame.
+    fn take(&mut self, frame: &Frame) -> Result<(), Undefined> {
         let size = self.stage.common_size();
         let maps = self.stage.energies(frame)?;
-        self.counts.fill(0);
-        let mut counts = self.counts.as_mut_slice();
-        for ((map, binning), upsampler) in maps.iter().zip(&self.binnings).zip(&mut self.upsamplers)
-        {
-            let upsampler =
-                upsampler.get_or_insert_with(|| Upsampler::new((map.width, map.height), size));
-            upsampler.resample(map, &mut self.common);
-            let (own, rest) = counts.split_at_mut(binning.bins());
-            binning.count(&self.common, own)?;
-            counts = rest;
+        if self.needs_maps {
+            if self.upsamplers.is_empty() {
+                let sizes = maps.iter().map(|map| (map.width, map.height));
+                self.upsamplers = sizes.map(|from| Upsampler::new(from, size)).collect();
+            }
+            for ((map, upsampler), common) in
+                maps.iter().zip(&self.upsamplers).zip(&mut self.common)
+            {
+                upsampler.resample(map, common);
+            }
+        }
+        let mut taken = self.taken.as_mut_slice();
+        for component in &self.components {
+            let blocks = self.common.iter().zip(self.stage.channels());
+            for (tap, (common, channels)) in component.taps.iter().zip(blocks) {
+                let (own, rest) = taken.split_at_mut(tap.nominal.len());
+                tap.nominal.take(common, channels, own)?;
+                taken = rest;
+            }
         }
         Ok(())
     }

@@ -11,10 +11,14 @@ use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
 use crate::encoder::Encoder;
-use crate::gap::Metric;
+use crate::attention::EnergyMap;
+use crate::energies::ChannelMeans;
+use crate::gap::moments::{ChannelNorm, channel_levels};
+use crate::gap::{Comparison, Metric};
 use crate::histogram::Binning;
 use crate::model::ModelSpec;
 use crate::preprocess::{Preprocessing, RESIZE_KERNEL};
+use crate::undefined::Undefined;
 use crate::whole_file::WholeFile;
 
 mod pretty;
@@ -23,13 +27,15 @@ mod pretty;
 pub const WINDOW_S_MIN: f64 = 0.05;
 /// See [`WINDOW_S_MIN`].
 pub const WINDOW_S_MAX: f64 = 3.0;
-/// Largest gap of any metric: that of a correlation of -1.
+/// Largest gap of a metric that compares histograms: that of a correlation of -1.
 const GAP_MAX: f64 = 2.0;
+/// Most nominal domains of a reference: each costs a comparison a frame.
+pub const COMPONENTS_MAX: usize = 64;
 /// Least distance of a threshold from its median.
 pub const SPREAD_MIN: f64 = 1e-9;
 
 const FORMAT: &str = "gapwatch-reference";
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
 const BUILT_IN: &str = include_str!("../calibration/sim.json");
 
 /// What nominal attention looks like to one model.
@@ -46,10 +52,66 @@ pub struct Reference {
     pub metric: Metric,
     /// Length of the detector's window, seconds.
     pub window_s: f64,
+    /// How often nominal driving enters `Gap`.
+    pub false_alarms: FalseAlarms,
     /// Where it came from.
     pub provenance: Provenance,
+    /// The domains that are nominal: the simulation first, then what was accepted. The gap is the smallest over them.
+    pub components: Vec<Component>,
+}
+
+/// One nominal domain.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Component {
+    /// `simulation`, or the accepted source as typed.
+    pub name: String,
     /// One entry a tap, in the order of the model's taps.
     pub taps: Vec<TapReference>,
+}
+
+/// Entries into `Gap` on nominal drives, of the whole chain.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct FalseAlarms {
+    /// The rate asked for, entries an hour.
+    pub wanted_per_hour: f64,
+    /// How the thresholds were found.
+    pub method: String,
+    /// Factor on all thresholds' distances from their medians that came of it.
+    pub factor: f64,
+    /// What the factor would be for other rates.
+    pub factors: Vec<RateFactor>,
+    /// The drives that it was found on.
+    pub chosen_on: NominalDrives,
+    /// Other drives that it was tried on, if there were any.
+    pub judged_on: Option<NominalDrives>,
+    /// Hours that are missing before the rate is demonstrated, with what is missing; `None` when nothing is.
+    pub missing: Option<String>,
+}
+
+/// The factor that a rate of false alarms asks for.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RateFactor {
+    /// Entries into `Gap` an hour.
+    pub per_hour: f64,
+    /// The factor.
+    pub factor: f64,
+}
+
+/// Entries into `Gap` on a set of nominal drives.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct NominalDrives {
+    /// Drives.
+    pub drives: u64,
+    /// Hours in all.
+    pub hours: f64,
+    /// Entries into `Gap`.
+    pub entries: u64,
+    /// 95 % interval of the rate an hour (Poisson, exact).
+    pub per_hour: (f64, f64),
 }
 
 /// What makes two encoders see alike.
@@ -76,8 +138,6 @@ pub struct Provenance {
     pub gapwatch: String,
     /// The command that makes it again.
     pub command: String,
-    /// Where medians and thresholds came from, and what they do not promise.
-    pub thresholds: String,
     /// What was looked at.
     pub sources: Vec<SourceUse>,
 }
@@ -104,14 +164,27 @@ pub struct TapReference {
     pub tap: String,
     /// Median over the images of the largest energy, squared activation units: the scale of this block.
     pub median_peak_energy: f64,
-    /// How pixels are counted.
-    pub binning: Binning,
-    /// Images counted.
+    /// Images looked at.
     pub images: u64,
-    /// `[bins]`, pixels.
-    pub counts: Vec<u64>,
+    /// What they have in common.
+    pub nominal: Nominal,
     /// Nominal gaps by the number of frames in the window, fewest first.
     pub scale: Vec<ScalePoint>,
+}
+
+/// What is taken of a frame, and what that is on nominal ones.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case", deny_unknown_fields)]
+pub enum Nominal {
+    /// Pixels by their energy.
+    Histogram {
+        /// How pixels are counted.
+        binning: Binning,
+        /// `[bins]`, pixels.
+        counts: Vec<u64>,
+    },
+    /// Energies of the channels.
+    Channels(ChannelNorm),
 }
 
 /// Nominal gaps of windows of a number of frames.
@@ -188,18 +261,20 @@ impl Reference {
         model: ModelFingerprint,
         metric: Metric,
         window_s: f64,
+        false_alarms: FalseAlarms,
         provenance: Provenance,
-        taps: Vec<TapReference>,
+        components: Vec<Component>,
     ) -> Self {
         Self {
             format: FORMAT.to_owned(),
             version: VERSION,
             model,
-            strict: true,
+            strict: components.len() == 1,
             metric,
             window_s,
+            false_alarms,
             provenance,
-            taps,
+            components,
         }
     }
 
@@ -240,22 +315,37 @@ impl Reference {
     }
 
     fn fault(&self) -> Option<String> {
-        let names: Vec<&String> = self.taps.iter().map(|t| &t.tap).collect();
-        if self.taps.is_empty() || names != self.model.taps.iter().collect::<Vec<_>>() {
-            return Some(format!(
-                "taps {names:?} beside a model with taps {:?}",
-                self.model.taps
-            ));
-        }
         if !(WINDOW_S_MIN..=WINDOW_S_MAX).contains(&self.window_s) {
             return Some(format!(
                 "a window of {} s, not {WINDOW_S_MIN} to {WINDOW_S_MAX}",
                 self.window_s
             ));
         }
-        self.taps.iter().find_map(|tap| {
-            tap.fault(self.metric)
-                .map(|fault| format!("tap {}: {fault}", tap.tap))
+        if self.components.is_empty() || self.components.len() > COMPONENTS_MAX {
+            return Some(format!(
+                "{} components, not 1 to {COMPONENTS_MAX}",
+                self.components.len()
+            ));
+        }
+        if self.strict != (self.components.len() == 1) {
+            return Some(format!(
+                "strict = {} beside {} components",
+                self.strict,
+                self.components.len()
+            ));
+        }
+        self.components.iter().find_map(|component| {
+            let names: Vec<&String> = component.taps.iter().map(|t| &t.tap).collect();
+            if names.is_empty() || names != self.model.taps.iter().collect::<Vec<_>>() {
+                return Some(format!(
+                    "{}: taps {names:?} beside a model with taps {:?}",
+                    component.name, self.model.taps
+                ));
+            }
+            component.taps.iter().find_map(|tap| {
+                tap.fault(self.metric)
+                    .map(|fault| format!("{}, tap {}: {fault}", component.name, tap.tap))
+            })
         })
     }
 
@@ -313,27 +403,8 @@ impl Reference {
 
 impl TapReference {
     fn fault(&self, metric: Metric) -> Option<String> {
-        if let Some(fault) = self.binning.fault() {
-            return Some(fault.to_owned());
-        }
-        if (metric == Metric::LogEnergyJs) != matches!(self.binning, Binning::LogEnergy { .. }) {
-            return Some(format!("bins of another kind than the metric {metric} has"));
-        }
-        if self.counts.len() != self.binning.bins() || self.images == 0 {
-            return Some(format!(
-                "{} counts of {} images for {} bins",
-                self.counts.len(),
-                self.images,
-                self.binning.bins()
-            ));
-        }
-        if self
-            .counts
-            .iter()
-            .try_fold(0_u64, |sum, &n| sum.checked_add(n))
-            .is_none_or(|sum| sum == 0)
-        {
-            return Some("counts that do not add up".to_owned());
+        if self.images == 0 {
+            return Some("made of no images".to_owned());
         }
         if !(self.median_peak_energy.is_finite() && self.median_peak_energy > 0.0) {
             return Some(format!(
@@ -341,15 +412,22 @@ impl TapReference {
                 self.median_peak_energy
             ));
         }
+        if let Some(fault) = self.nominal.fault(metric) {
+            return Some(fault);
+        }
         let rising = self
             .scale
             .windows(2)
             .all(|pair| pair[0].frames < pair[1].frames);
+        let largest = match self.nominal {
+            Nominal::Histogram { .. } => 2.0 * GAP_MAX,
+            Nominal::Channels(_) => f64::MAX,
+        };
         let usable = |p: &ScalePoint| {
-            let in_range = |gap: f64| (-1e-9..=2.0 * GAP_MAX).contains(&gap);
+            let in_range = |gap: f64| (-1e-9..=largest).contains(&gap);
             p.frames > 0
                 && in_range(p.median)
-                && in_range(p.threshold)
+                && p.threshold.is_finite()
                 && p.threshold - p.median >= 0.5 * SPREAD_MIN
         };
         if self.scale.is_empty() || !rising || !self.scale.iter().all(usable) {
@@ -383,21 +461,134 @@ impl TapReference {
     }
 }
 
+impl Nominal {
+    /// Numbers that are taken of a frame: bins or channels.
+    pub fn len(&self) -> usize {
+        match self {
+            Self::Histogram { counts, .. } => counts.len(),
+            Self::Channels(norm) => norm.channels(),
+        }
+    }
+
+    /// Whether nothing is taken of a frame; never of a reference that was read whole.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// Takes one block of a frame: `common` is its energy map at the common size, `taken` `[len]`. Allocates nothing.
+    ///
+    /// # Errors
+    /// `ConstantMap` when the map says nothing, `ChannelCount` when the block has other channels than the reference.
+    pub fn take(
+        &self,
+        common: &EnergyMap,
+        channels: &ChannelMeans,
+        taken: &mut [u32],
+    ) -> Result<(), Undefined> {
+        match self {
+            Self::Histogram { binning, .. } => {
+                taken.fill(0);
+                binning.count(common, taken)
+            }
+            Self::Channels(norm) if norm.channels() == channels.energy.len() => {
+                channel_levels(&channels.energy, norm.epsilon, taken);
+                Ok(())
+            }
+            Self::Channels(norm) => Err(Undefined::ChannelCount {
+                found: channels.energy.len(),
+                wanted: norm.channels(),
+            }),
+        }
+    }
+
+    /// Compares the sum over a window of `frames` frames with the nominal ones.
+    ///
+    /// # Errors
+    /// Why there is no value.
+    pub fn compare(
+        &self,
+        metric: Metric,
+        sums: &[u64],
+        frames: usize,
+    ) -> Result<Comparison, Undefined> {
+        match self {
+            Self::Histogram { counts, .. } => metric
+                .divergence()
+                .ok_or(Undefined::NoScore)?
+                .compare(sums, counts),
+            Self::Channels(norm) => {
+                let distance = norm.distance(sums, frames);
+                Ok(Comparison {
+                    value: distance,
+                    gap: distance,
+                    similarity: 1.0 / (1.0 + distance),
+                })
+            }
+        }
+    }
+
+    fn fault(&self, metric: Metric) -> Option<String> {
+        match (self, metric) {
+            (Self::Channels(norm), Metric::Mahalanobis) => norm.fault(),
+            (
+                Self::Histogram {
+                    binning: binning @ Binning::LogEnergy { .. },
+                    counts,
+                },
+                Metric::LogEnergy(_),
+            )
+            | (
+                Self::Histogram {
+                    binning: binning @ Binning::Attention { .. },
+                    counts,
+                },
+                Metric::Attention(_) | Metric::Paper,
+            ) => {
+                if let Some(fault) = binning.fault() {
+                    return Some(fault.to_owned());
+                }
+                if counts.len() != binning.bins() {
+                    return Some(format!(
+                        "{} counts for {} bins",
+                        counts.len(),
+                        binning.bins()
+                    ));
+                }
+                counts
+                    .iter()
+                    .try_fold(0_u64, |sum, &n| sum.checked_add(n))
+                    .is_none_or(|sum| sum == 0)
+                    .then(|| "counts that do not add up".to_owned())
+            }
+            _ => Some(format!("nominal values of another kind than {metric} has")),
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
+    use crate::gap::Divergence;
+
+    const LOG_ENERGY: Metric = Metric::LogEnergy(Divergence::JensenShannon);
+
+    fn histogram(counts: Vec<u64>) -> Nominal {
+        Nominal::Histogram {
+            binning: Binning::LogEnergy {
+                epsilon: 1e-6,
+                edges: vec![0.0],
+            },
+            counts,
+        }
+    }
 
     fn tap(scale: &[(usize, f64, f64)]) -> TapReference {
         TapReference {
             tap: "e2".into(),
             median_peak_energy: 5.0,
-            binning: Binning::LogEnergy {
-                epsilon: 1e-6,
-                edges: vec![0.0],
-            },
             images: 1,
-            counts: vec![1, 2],
+            nominal: histogram(vec![1, 2]),
             scale: scale
                 .iter()
                 .map(|&(frames, median, threshold)| ScalePoint {
@@ -435,11 +626,11 @@ mod tests {
             ("", "not JSON"),
             ("{}", "format null"),
             (
-                "{\"format\": \"gapwatch-reference\", \"version\": 2}",
-                "version 2",
+                "{\"format\": \"gapwatch-reference\", \"version\": 1}",
+                "version 1",
             ),
             (
-                "{\"format\": \"gapwatch-reference\", \"version\": 1}",
+                "{\"format\": \"gapwatch-reference\", \"version\": 2}",
                 "missing field",
             ),
         ] {
@@ -448,34 +639,34 @@ mod tests {
         }
         assert!(
             tap(&[])
-                .fault(Metric::LogEnergyJs)
+                .fault(LOG_ENERGY)
                 .unwrap()
                 .contains("scale")
         );
         assert!(
             tap(&[(1, 2.0, 1.0)])
-                .fault(Metric::LogEnergyJs)
+                .fault(LOG_ENERGY)
                 .unwrap()
                 .contains("scale")
         );
         assert!(
             TapReference {
-                counts: vec![0, 0],
+                nominal: histogram(vec![0, 0]),
                 ..tap(&[(1, 1.0, 2.0)])
             }
-            .fault(Metric::LogEnergyJs)
+            .fault(LOG_ENERGY)
             .unwrap()
             .contains("counts")
         );
         assert!(
             TapReference {
-                counts: vec![u64::MAX, 1],
+                nominal: histogram(vec![u64::MAX, 1]),
                 ..tap(&[(1, 1.0, 2.0)])
             }
-            .fault(Metric::LogEnergyJs)
+            .fault(LOG_ENERGY)
             .is_some()
         );
-        assert_eq!(tap(&[(1, 1.0, 2.0)]).fault(Metric::LogEnergyJs), None);
+        assert_eq!(tap(&[(1, 1.0, 2.0)]).fault(LOG_ENERGY), None);
     }
 
     #[test]

@@ -1,8 +1,10 @@
 //! Whole sources through the encoder: what `calibrate` and `compare` work on.
 
+use std::time::Duration;
+
 use crate::attention::{EnergyMap, Upsampler};
 use crate::encoder::{Encoder, EncoderError};
-use crate::energies::EnergyStage;
+use crate::energies::{ChannelMeans, EnergyStage};
 use crate::frame::{SourceError, open};
 use crate::preprocess::Preprocessing;
 use crate::undefined::Undefined;
@@ -12,10 +14,32 @@ use crate::undefined::Undefined;
 pub struct Survey {
     /// As typed.
     pub source: String,
-    /// Of every frame, in order: energy maps of the blocks, each of its block's own size, or why there are none.
-    pub frames: Vec<Result<Vec<EnergyMap>, Undefined>>,
+    /// Of every frame, in order: what the encoder saw, or why nothing.
+    pub frames: Vec<Result<SurveyFrame, Undefined>>,
     /// Size that maps are resampled to, width and height.
     pub common_size: (usize, usize),
+}
+
+/// One frame of a survey.
+#[derive(Clone, Debug)]
+pub struct SurveyFrame {
+    /// Time of the frame.
+    pub at: Duration,
+    /// Energy maps of the blocks, each of its block's own size; empty when only channels are kept.
+    pub maps: Vec<EnergyMap>,
+    /// Largest energy of each block at its own size.
+    pub peaks: Vec<f64>,
+    /// Channel means of each block.
+    pub channels: Vec<ChannelMeans>,
+}
+
+/// What a survey keeps of a frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Keep {
+    /// Energy maps and channel means: about 20 KB of the built-in model.
+    Maps,
+    /// Channel means alone: about 3 KB.
+    Channels,
 }
 
 /// A source that could not be surveyed.
@@ -41,6 +65,7 @@ impl Survey {
         source: &str,
         encoder: &Encoder,
         preprocessing: &Preprocessing,
+        keep: Keep,
         seen: &(dyn Fn() + Sync),
     ) -> Result<Self, SurveyError> {
         let mut stage = EnergyStage::new(encoder, preprocessing)?;
@@ -50,7 +75,20 @@ impl Survey {
             if let Err(error) = &frame.picture {
                 return Err(SurveyError::Picture(error.to_string()));
             }
-            frames.push(stage.energies(&frame).map(<[EnergyMap]>::to_vec));
+            let seen_in_it = stage.energies(&frame).map(|maps| {
+                let peaks = maps.iter().map(|map| map.range().1).collect();
+                let maps = match keep {
+                    Keep::Maps => maps.to_vec(),
+                    Keep::Channels => Vec::new(),
+                };
+                (maps, peaks)
+            });
+            frames.push(seen_in_it.map(|(maps, peaks)| SurveyFrame {
+                at: frame.captured_at,
+                maps,
+                peaks,
+                channels: stage.channels().to_vec(),
+            }));
             seen();
         }
         Ok(Self {
@@ -60,7 +98,7 @@ impl Survey {
         })
     }
 
-    /// The maps of one tap at the common size, frame by frame.
+    /// The maps of one tap at the common size, frame by frame; the survey must have kept them.
     ///
     /// # Errors
     /// Item by item, why a frame has none.
@@ -70,7 +108,7 @@ impl Survey {
     ) -> impl Iterator<Item = Result<EnergyMap, Undefined>> + '_ {
         let mut upsampler: Option<Upsampler> = None;
         self.frames.iter().map(move |energies| {
-            let map = &energies.as_ref().map_err(Undefined::clone)?[tap];
+            let map = &energies.as_ref().map_err(Undefined::clone)?.maps[tap];
             let upsampler = upsampler
                 .get_or_insert_with(|| Upsampler::new((map.width, map.height), self.common_size));
             let mut common = EnergyMap::default();

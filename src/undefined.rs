@@ -54,6 +54,14 @@ pub enum Undefined {
         /// Images needed.
         wanted: usize,
     },
+    /// A block with other channels than the reference was made with.
+    #[error("block of {found} channels, the reference has {wanted}")]
+    ChannelCount {
+        /// Channels of the block.
+        found: usize,
+        /// Channels of the reference.
+        wanted: usize,
+    },
     /// No frame came.
     #[error("no frame for 500 ms")]
     Silence,

@@ -227,7 +227,7 @@ fn field_compare_takes_folders_videos_and_noise() {
         .collect();
     let rows: serde_json::Value =
         serde_json::from_str(&gapwatch_in(folder.path(), &args).ok()).unwrap();
-    assert_eq!(rows.as_array().unwrap().len(), 15);
+    assert_eq!(rows.as_array().unwrap().len(), 5 * 13);
     let gap = |set: &str| {
         let row = rows
             .as_array()

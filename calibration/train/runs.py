@@ -60,6 +60,7 @@ def study_parser(description: str) -> argparse.ArgumentParser:
 def train_all(variants: list[Variant], args: argparse.Namespace) -> list[Run]:
     """Trains what is not there yet, two runs of one thread at a time, and measures all."""
     program = args.gapwatch.resolve()
+    args.work.mkdir(parents=True, exist_ok=True)
     for seed, count in (
         (TRAINING_SEED, args.scenes), (VALIDATION_SEED, VALIDATION_SCENES), (TEST_SEED, args.test)
     ):

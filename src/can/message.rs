@@ -252,6 +252,7 @@ fn reason_code(reason: Reason) -> ReasonCode {
         Reason::None => ReasonCode::None,
         Reason::Starting => ReasonCode::Starting,
         Reason::Abrupt => ReasonCode::Abrupt,
+        Reason::Drift => ReasonCode::Drift,
         Reason::Black => ReasonCode::Black,
         Reason::Uniform => ReasonCode::Uniform,
         Reason::TooSmall => ReasonCode::TooSmall,
@@ -266,6 +267,7 @@ fn reason_of(code: ReasonCode) -> Option<Reason> {
         ReasonCode::None => Some(Reason::None),
         ReasonCode::Starting => Some(Reason::Starting),
         ReasonCode::Abrupt => Some(Reason::Abrupt),
+        ReasonCode::Drift => Some(Reason::Drift),
         ReasonCode::Black => Some(Reason::Black),
         ReasonCode::Uniform => Some(Reason::Uniform),
         ReasonCode::TooSmall => Some(Reason::TooSmall),
@@ -317,10 +319,11 @@ mod tests {
         (AlarmState::SensorFault, 4),
         (AlarmState::Unavailable, 5),
     ];
-    const REASONS: [(Reason, u8); 9] = [
+    const REASONS: [(Reason, u8); 10] = [
         (Reason::None, 0),
         (Reason::Starting, 1),
         (Reason::Abrupt, 2),
+        (Reason::Drift, 3),
         (Reason::Black, 4),
         (Reason::Uniform, 5),
         (Reason::Corrupt, 6),

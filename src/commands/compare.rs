@@ -7,6 +7,7 @@ use anyhow::{Context, bail};
 use gapwatch::calibration::PaperBinning;
 use gapwatch::comparison::{Comparisons, ImageSet, Row, compare};
 use gapwatch::frame::drives;
+use gapwatch::survey::Keep;
 use gapwatch::whole_file::WholeFile;
 use serde_json::{Map, Value, json};
 
@@ -74,7 +75,7 @@ fn survey_sets(names: &[String], model: &Model) -> anyhow::Result<Vec<ImageSet>>
         .iter()
         .map(|name| drives(name))
         .collect::<Result<Vec<_>, _>>()?;
-    let mut surveys = model.survey(&drives.concat(), "comparing")?.into_iter();
+    let mut surveys = model.survey(&drives.concat(), Keep::Maps, "comparing")?.into_iter();
     let set = |(name, drives): (&String, &Vec<String>)| ImageSet {
         name: name.clone(),
         surveys: surveys.by_ref().take(drives.len()).collect(),
@@ -110,7 +111,7 @@ fn write_table(
     let column =
         |of: fn(&Row) -> usize, title: usize| rows.iter().map(of).chain([title]).max().unwrap_or(0);
     let set_width = column(|row| row.set.chars().count(), 3);
-    let metric_width = column(|row| row.metric.name().len(), 6);
+    let metric_width = column(|row| row.metric.to_string().len(), 6);
     let tap_widths: Vec<usize> = taps.iter().map(|tap| tap.chars().count().max(9)).collect();
     writeln!(out, "reference: {reference}")?;
     write!(out, "{:set_width$}  {:metric_width$}", "set", "metric")?;
@@ -123,7 +124,7 @@ fn write_table(
             out,
             "{:set_width$}  {:metric_width$}",
             row.set,
-            row.metric.name()
+            row.metric
         )?;
         for (value, width) in row.values.iter().zip(&tap_widths) {
             match value {

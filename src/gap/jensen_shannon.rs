@@ -2,20 +2,16 @@
 
 use crate::undefined::Undefined;
 
+use super::shares;
+
 /// `JS = (KL(p | m) + KL(q | m)) / 2` with `m = (p + q) / 2` and logarithms of base 2: 0..1 bit, not its root, no
 /// smoothing (Lin 1991).
 ///
 /// # Errors
 /// `EmptyHistogram` when one has no count.
-#[allow(clippy::cast_precision_loss)]
 pub fn divergence_bits(a: &[u64], b: &[u64]) -> Result<f64, Undefined> {
-    let (total_a, total_b): (u64, u64) = (a.iter().sum(), b.iter().sum());
-    if total_a == 0 || total_b == 0 {
-        return Err(Undefined::EmptyHistogram);
-    }
     let mut bits = 0.0;
-    for (&a, &b) in a.iter().zip(b) {
-        let (p, q) = (a as f64 / total_a as f64, b as f64 / total_b as f64);
+    for (p, q) in shares(a, b)? {
         let middle = 0.5 * (p + q);
         for share in [p, q] {
             if share > 0.0 {

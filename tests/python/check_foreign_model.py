@@ -335,15 +335,19 @@ class Check:
         """Makes a reference with all options as flags and checks it; returns its content."""
         onnx_file = write_model(self.scratch / "flags", onnx.load(self.dynamic), None)
         flags = ["--model", str(onnx_file), *OPTIONS.flags(), "--out", str(self.reference)]
+        flags += ["--metric", "log-energy-js"]
         check_compare.answer_of(self.program, ["calibrate", "--sim", self.images.name, *flags])
         reference: dict[str, Any] = check_compare.strict_json(self.reference.read_text())
         fitted = self.images.images - self.images.images // 3
         maps = {tap: maps[:fitted] for tap, maps in self.images.maps.items()}
         seen = replace(self.images, images=fitted, maps=maps)
         metric = reference["metric"]
-        if [one["tap"] for one in reference["taps"]] != list(OPTIONS.taps):
+        taps = reference["components"][0]["taps"]
+        if [one["tap"] for one in taps] != list(OPTIONS.taps):
             raise Disagreement("the reference holds other taps than asked for")
-        records = {(seen.name, metric, one["tap"]): one for one in reference["taps"]}
+        records = {
+            (seen.name, metric, one["tap"]): one | one["nominal"]["histogram"] for one in taps
+        }
         check_compare.check_answer(Answer((metric,), "10", {}, records), [seen])
         return reference
 
@@ -380,10 +384,12 @@ class Check:
         lines = [check_compare.strict_json(line) for line in journal.read_text().splitlines()]
         if len(lines) != self.other.images:
             raise Disagreement(f"the journal has {len(lines)} lines for {self.other.images} frames")
-        for tap in reference["taps"]:
+        for tap in reference["components"][0]["taps"]:
             maps = self.other.maps[tap["tap"]]
-            nominal = np.array(tap["counts"], dtype=np.float64)
-            epsilon, edges = tap["binning"]["epsilon"], np.array(tap["binning"]["edges"])
+            histogram = tap["nominal"]["histogram"]
+            nominal = np.array(histogram["counts"], dtype=np.float64)
+            binning = histogram["binning"]
+            epsilon, edges = binning["epsilon"], np.array(binning["edges"])
             for last, line in enumerate(lines):
                 # A window is open at its old end; frame times are exact to less than 1 us.
                 begin = line["t_s"] - reference["window_s"] + 1e-6

@@ -302,3 +302,28 @@ def jensen_shannon_bits(a: Floats, b: Floats) -> float | None:
         return None
     p, q = a / a.sum(), b / b.sum()
     return entropy_bits((p + q) / 2.0) - (entropy_bits(p) + entropy_bits(q)) / 2.0
+
+
+def chi_square(a: Floats, b: Floats) -> float | None:
+    """Half the sum of squared differences over sums, of shares; None for an empty histogram."""
+    if a.sum() == 0.0 or b.sum() == 0.0:
+        return None
+    p, q = a / a.sum(), b / b.sum()
+    filled = p + q > 0.0
+    return float(0.5 * ((p - q)[filled] ** 2 / (p + q)[filled]).sum())
+
+
+def hellinger(a: Floats, b: Floats) -> float | None:
+    """Root of one less the Bhattacharyya coefficient; None for an empty histogram."""
+    if a.sum() == 0.0 or b.sum() == 0.0:
+        return None
+    p, q = a / a.sum(), b / b.sum()
+    return float(np.sqrt(max(0.0, 1.0 - np.sqrt(p * q).sum())))
+
+
+def wasserstein(a: Floats, b: Floats) -> float | None:
+    """Area between the cumulated shares, bins evenly spaced from 0 to 1; None for an empty histogram."""
+    if a.sum() == 0.0 or b.sum() == 0.0:
+        return None
+    apart = np.cumsum(a / a.sum()) - np.cumsum(b / b.sum())
+    return float(np.abs(apart).sum() / (a.size - 1))
