@@ -171,10 +171,12 @@ pub struct InspectArgs {
     pub model: ModelArgs,
 }
 
-/// Judge lane models on scenes that no training has seen
+/// Judge lane models and the monitor on scenes and drives that nothing was tuned on
 ///
-/// Lane IoU of every model in every look of the world, in plain day and under every condition at severities 1 to 5, and
-/// how much of the encoder's energy lies on lanes. Each model is asked at its own size.
+/// lane_iou: lane IoU of every model in every look of the world, in plain day and under every condition at severities 1 to
+/// 5, and how much of the encoder's energy lies on lanes; each model is asked at its own size. domain_detection: how many
+/// drives enter Gap within 2 s of an event, at 1 and 0.1 false alarms an hour. false_alarms: entries into Gap on nominal
+/// drives, at thresholds made for 10, 1 and 0.1 an hour. The last two judge one reference.
 #[derive(Debug, Args)]
 #[command(
     after_help = "Example:\n  gapwatch evaluate --model a.onnx b.onnx --scenes 50 --format json"
@@ -186,9 +188,21 @@ pub struct EvaluateArgs {
     /// What to evaluate; left out = everything
     #[arg(long, value_enum, value_name = "KEY")]
     pub only: Option<EvaluateKey>,
-    /// Few scenes: seconds instead of minutes, with wide intervals
+    /// Few scenes and drives: seconds instead of minutes, with wide intervals
     #[arg(long)]
     pub quick: bool,
+    /// Reference to judge; left out = the one inside the program
+    #[arg(long, value_name = "FILE")]
+    pub reference: Option<PathBuf>,
+    /// The look that is nominal to that reference
+    #[arg(long, value_name = "NAME", default_value_t = Look::Sim)]
+    pub look: Look,
+    /// Drives an event
+    #[arg(long, value_name = "N", conflicts_with = "quick", value_parser = clap::value_parser!(u32).range(1..=10_000))]
+    pub drives: Option<u32>,
+    /// Hours of nominal drives
+    #[arg(long, value_name = "HOURS", conflicts_with = "quick", value_parser = clap::value_parser!(u32).range(1..=10_000))]
+    pub hours: Option<u32>,
     /// Scenes a look, condition and severity
     #[arg(long, value_name = "N", conflicts_with = "quick", value_parser = clap::value_parser!(u32).range(1..=100_000))]
     pub scenes: Option<u32>,
@@ -206,6 +220,12 @@ pub enum EvaluateKey {
     /// Lane IoU over looks, conditions and severities
     #[value(name = "lane_iou")]
     LaneIou,
+    /// How soon events that leave the domain are entered as Gap
+    #[value(name = "domain_detection")]
+    DomainDetection,
+    /// Entries into Gap on nominal drives
+    #[value(name = "false_alarms")]
+    FalseAlarms,
 }
 
 /// The model, if not the built-in one

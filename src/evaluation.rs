@@ -1,9 +1,13 @@
-//! How good a lane model is, and where it looks, on scenes that no training has seen: over looks of the world and over
-//! conditions of growing severity.
+//! How good the monitor is on drives that nothing was tuned on (`domain_detection`, `false_alarms`), and here how good a
+//! lane model is, and where it looks, on scenes that no training has seen: over looks of the world and over conditions of
+//! growing severity.
 //!
 //! Intervals are percentiles over resampled scenes, since the pixels of one scene depend on each other.
 
+pub mod domain_detection;
+pub mod false_alarms;
 mod resampling;
+pub mod watched;
 
 use rayon::prelude::*;
 use serde::Serialize;

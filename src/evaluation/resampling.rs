@@ -17,10 +17,37 @@ pub fn interval(scenes: &[Overlap]) -> Option<(f64, f64)> {
     Some((*ious.get(low)?, *ious.get(high.saturating_sub(1))?))
 }
 
+/// 95 % interval of a share (Wilson 1927).
+#[allow(clippy::cast_precision_loss)]
+pub fn binomial_interval(found: u64, all: u64) -> (f64, f64) {
+    const Z: f64 = 1.959_963_985;
+    if all == 0 {
+        return (0.0, 1.0);
+    }
+    let (n, p) = (all as f64, found as f64 / all as f64);
+    let middle = p + Z * Z / (2.0 * n);
+    let half = Z * (p * (1.0 - p) / n + Z * Z / (4.0 * n * n)).sqrt();
+    let scale = 1.0 + Z * Z / n;
+    (
+        ((middle - half) / scale).max(0.0),
+        ((middle + half) / scale).min(1.0),
+    )
+}
+
 /// Random numbers after Steele, Lea and Flood, *Fast Splittable Pseudorandom Number Generators* (2014).
-struct SplitMix64(u64);
+pub struct SplitMix64(u64);
 
 impl SplitMix64 {
+    /// Numbers of a seed.
+    pub fn new(seed: u64) -> Self {
+        Self(seed)
+    }
+
+    /// Uniform from 0 to 255.
+    pub fn byte(&mut self) -> u8 {
+        self.next().to_be_bytes()[0]
+    }
+
     fn next(&mut self) -> u64 {
         self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
         let mut z = self.0;
@@ -49,6 +76,19 @@ mod tests {
         let scenes = [Overlap { both: 3, either: 4 }; 9];
         assert_eq!(interval(&scenes), Some((0.75, 0.75)));
         assert_eq!(interval(&[]), None);
+    }
+
+    #[test]
+    fn shares_have_wilsons_interval() {
+        // Newcombe 1998: 81 of 263, 15 of 148, 0 of 20.
+        for (found, all, low, high) in [
+            (81, 263, 0.2553, 0.3662),
+            (15, 148, 0.0624, 0.1605),
+            (0, 20, 0.0, 0.1611),
+        ] {
+            let (l, h) = binomial_interval(found, all);
+            assert!((l - low).abs() < 1e-4 && (h - high).abs() < 1e-4, "{l} {h}");
+        }
     }
 
     #[test]
