@@ -331,7 +331,10 @@ pub fn calibrate(
         .map(|track| track.scores(wanted, &components))
         .collect::<Result<Vec<_>, _>>()?;
     let false_alarms = false_alarms::calibrated(&drives, wanted.false_alarms_per_hour, optimistic);
-    for tap in components.iter_mut().flat_map(|component| &mut component.taps) {
+    for tap in components
+        .iter_mut()
+        .flat_map(|component| &mut component.taps)
+    {
         for point in &mut tap.scale {
             point.threshold = point.median + false_alarms.factor * (point.threshold - point.median);
         }
@@ -486,7 +489,9 @@ fn fitted_moments(
     (0..taps)
         .map(|tap| {
             let epsilon = epsilon_of(fitted, tap, simulation);
-            let channels = fitted.first().map_or(0, |seen| seen.channels[tap].energy.len());
+            let channels = fitted
+                .first()
+                .map_or(0, |seen| seen.channels[tap].energy.len());
             let mut moments = Moments::new(channels);
             let mut levels = vec![0; channels];
             for seen in fitted {
@@ -502,7 +507,8 @@ fn epsilon_of(fitted: &[Seen<'_>], tap: usize, simulation: Option<&Component>) -
     if let Some(Nominal::Channels(norm)) = simulation.map(|of| &of.taps[tap].nominal) {
         return norm.epsilon;
     }
-    moments::EPSILON_SHARE * median(fitted.iter().map(|seen| seen.peaks[tap]).collect()).unwrap_or(1.0)
+    moments::EPSILON_SHARE
+        * median(fitted.iter().map(|seen| seen.peaks[tap]).collect()).unwrap_or(1.0)
 }
 
 fn tap_reference(
@@ -526,8 +532,11 @@ fn tap_reference(
             (peak, moments.frames(), Nominal::Channels(norm))
         }
         None => {
-            let maps: Vec<&EnergyMap> =
-                of.fitted.iter().map(|seen| &seen.common[of.index]).collect();
+            let maps: Vec<&EnergyMap> = of
+                .fitted
+                .iter()
+                .map(|seen| &seen.common[of.index])
+                .collect();
             let fitted =
                 TapHistogram::fit(&maps, metric, PaperBinning::PUBLISHED).map_err(wrong)?;
             let nominal = Nominal::Histogram {
@@ -539,9 +548,7 @@ fn tap_reference(
     };
     let scale: Vec<ScalePoint> = WINDOW_FRAMES
         .into_iter()
-        .filter_map(|frames| {
-            scale_point(scaled, frames, of.index, &nominal, wanted).transpose()
-        })
+        .filter_map(|frames| scale_point(scaled, frames, of.index, &nominal, wanted).transpose())
         .collect::<Result<_, _>>()
         .map_err(wrong)?;
     Ok(TapReference {
@@ -563,7 +570,9 @@ fn scale_point(
 ) -> Result<Option<ScalePoint>, Undefined> {
     let mut gaps = Vec::new();
     let mut taken = vec![0; nominal.len()];
-    let windows = tracks.iter().flat_map(|track| track.windows(wanted.window_s));
+    let windows = tracks
+        .iter()
+        .flat_map(|track| track.windows(wanted.window_s));
     for window in windows.filter(|window| window.len() >= frames) {
         let mut sums = vec![0_u64; nominal.len()];
         for index in 0..frames {
@@ -632,12 +641,8 @@ mod tests {
 
     #[test]
     fn edges_cut_the_reference_into_equal_masses() {
-        let fitted = TapHistogram::fit(
-            &[&ramp(0, 6_400)],
-            LOG_ENERGY,
-            PaperBinning::PUBLISHED,
-        )
-        .unwrap();
+        let fitted =
+            TapHistogram::fit(&[&ramp(0, 6_400)], LOG_ENERGY, PaperBinning::PUBLISHED).unwrap();
         assert_eq!(fitted.sum.counts.len(), LOG_ENERGY_BINS);
         assert!(
             fitted.sum.counts.iter().all(|&n| (98..=102).contains(&n)),
@@ -651,8 +656,7 @@ mod tests {
         // Three quarters of the pixels have no energy: they fill one bin, and the rest shares the other 16 or so.
         let mut map = ramp(0, 1_600);
         map.energy.extend(vec![0.0; 4_800]);
-        let fitted =
-            TapHistogram::fit(&[&map], LOG_ENERGY, PaperBinning::PUBLISHED).unwrap();
+        let fitted = TapHistogram::fit(&[&map], LOG_ENERGY, PaperBinning::PUBLISHED).unwrap();
         assert_eq!(fitted.sum.counts[0], 4_800);
         assert!(
             (15..=18).contains(&fitted.sum.counts.len()),

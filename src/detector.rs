@@ -259,8 +259,8 @@ mod tests {
         clippy::cast_precision_loss
     )]
     use super::*;
-    use crate::histogram::Binning;
     use crate::gap::Divergence;
+    use crate::histogram::Binning;
     use crate::reference::{Nominal, ScalePoint, TapReference};
 
     /// A detector of one tap with four bins, nominal (1, 1, 1, 1), median 0.1 and threshold 0.3 for any window.

@@ -10,8 +10,8 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
-use crate::encoder::Encoder;
 use crate::attention::EnergyMap;
+use crate::encoder::Encoder;
 use crate::energies::ChannelMeans;
 use crate::gap::moments::{ChannelNorm, channel_levels};
 use crate::gap::{Comparison, Metric};
@@ -637,12 +637,7 @@ mod tests {
             let said = Reference::parse("r.json", text).unwrap_err().to_string();
             assert!(said.contains(part) && said.contains("r.json"), "{said}");
         }
-        assert!(
-            tap(&[])
-                .fault(LOG_ENERGY)
-                .unwrap()
-                .contains("scale")
-        );
+        assert!(tap(&[]).fault(LOG_ENERGY).unwrap().contains("scale"));
         assert!(
             tap(&[(1, 2.0, 1.0)])
                 .fault(LOG_ENERGY)

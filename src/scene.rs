@@ -30,9 +30,7 @@ mod tunnel;
 mod weather;
 mod world;
 
-pub use conditions::{
-    Condition, ConditionError, ConditionKind, RAMP_S, Severities, severities_at,
-};
+pub use conditions::{Condition, ConditionError, ConditionKind, RAMP_S, Severities, severities_at};
 pub use render::{Labelled, Renderer};
 pub use spec::{DriveSpec, SpecError};
 pub use world::{Element, Look, World, WorldError};

@@ -456,7 +456,12 @@ fn compare_writes_the_same_numbers_as_table_json_and_csv() {
             .as_f64()
             .unwrap()
     };
-    for metric in ["attention-js", "log-energy-js", "log-energy-w1", "mahalanobis"] {
+    for metric in [
+        "attention-js",
+        "log-energy-js",
+        "log-energy-w1",
+        "mahalanobis",
+    ] {
         assert!(
             value(2, metric) > 4.0 * value(1, metric),
             "{metric}: noise is farther than other drives"

@@ -34,7 +34,7 @@ fn pictures_without_content_are_undefined_by_name() {
     ] {
         picture.save(folder.path().join(name)).unwrap();
         let (rows, _) = compare(folder.path(), name);
-        assert_eq!(rows.as_array().unwrap().len(), 3);
+        assert_eq!(rows.as_array().unwrap().len(), 13);
         for row in rows.as_array().unwrap() {
             assert_eq!(
                 (row["images"].as_u64(), row["judged"].as_u64()),

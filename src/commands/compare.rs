@@ -75,7 +75,9 @@ fn survey_sets(names: &[String], model: &Model) -> anyhow::Result<Vec<ImageSet>>
         .iter()
         .map(|name| drives(name))
         .collect::<Result<Vec<_>, _>>()?;
-    let mut surveys = model.survey(&drives.concat(), Keep::Maps, "comparing")?.into_iter();
+    let mut surveys = model
+        .survey(&drives.concat(), Keep::Maps, "comparing")?
+        .into_iter();
     let set = |(name, drives): (&String, &Vec<String>)| ImageSet {
         name: name.clone(),
         surveys: surveys.by_ref().take(drives.len()).collect(),
@@ -120,12 +122,7 @@ fn write_table(
     }
     writeln!(out, "  {:>7}", "images")?;
     for row in rows {
-        write!(
-            out,
-            "{:set_width$}  {:metric_width$}",
-            row.set,
-            row.metric
-        )?;
+        write!(out, "{:set_width$}  {:metric_width$}", row.set, row.metric)?;
         for (value, width) in row.values.iter().zip(&tap_widths) {
             match value {
                 Ok(value) => write!(out, "  {value:>width$.5}")?,

@@ -241,7 +241,10 @@ impl Watched {
             let hours = f64::from(args.hours.unwrap_or(HOURS));
             // At most 10,000 hours.
             #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)]
-            ((hours * drives_an_hour).ceil() as u32, false_alarms::DRIVE_S)
+            (
+                (hours * drives_an_hour).ceil() as u32,
+                false_alarms::DRIVE_S,
+            )
         };
         let scripts: Vec<Script> = (0..drives)
             .map(|n| false_alarms::script(args.look, n.into(), seconds))
@@ -293,7 +296,9 @@ fn detection_table(rows: &[Row<Detection>], out: &mut dyn Write) -> anyhow::Resu
         for of in of_rate.iter().filter(|of| of.severity.is_none()) {
             writeln!(out, "  {:<14}{:>6.0}", of.event, 100.0 * of.found_share)?;
         }
-        let severe = of_rate.iter().filter(|of| of.severity.is_none_or(|s| s >= 3));
+        let severe = of_rate
+            .iter()
+            .filter(|of| of.severity.is_none_or(|s| s >= 3));
         let (found, all) = severe.fold((0, 0), |(found, all), of| {
             (found + of.found, all + of.drives)
         });

@@ -229,11 +229,22 @@ mod tests {
         ];
         let drives: Vec<&DriveScores> = drives.iter().collect();
         let found = detection(Look::Sim, Event::Noise, &drives, 1.0, 1.0);
-        let counted = (found.found, found.alarmed_before, found.sensor_fault, found.missed);
+        let counted = (
+            found.found,
+            found.alarmed_before,
+            found.sensor_fault,
+            found.missed,
+        );
         // The second one enters Gap 2.5 s after the onset, too late.
         assert_eq!(counted, (1, 1, 1, 2));
-        assert!((0.75..=1.25).contains(&found.delay_median_s.unwrap()), "{found:?}");
+        assert!(
+            (0.75..=1.25).contains(&found.delay_median_s.unwrap()),
+            "{found:?}"
+        );
         // Thresholds four times as far away are not reached.
-        assert_eq!(detection(Look::Sim, Event::Noise, &drives, 1.0, 4.0).found, 0);
+        assert_eq!(
+            detection(Look::Sim, Event::Noise, &drives, 1.0, 4.0).found,
+            0
+        );
     }
 }

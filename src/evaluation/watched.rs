@@ -63,7 +63,11 @@ pub fn scores_of(
 }
 
 impl Script {
-    fn scores(&self, encoder: &Encoder, reference: &Reference) -> Result<DriveScores, EncoderError> {
+    fn scores(
+        &self,
+        encoder: &Encoder,
+        reference: &Reference,
+    ) -> Result<DriveScores, EncoderError> {
         let mut monitor = Monitor::new(encoder, reference)?;
         let of = &reference.model.preprocessing;
         let mut renderer = Renderer::new(of.width, of.height);

@@ -32,7 +32,10 @@ pub fn distance(a: &[Vec<f64>], b: &[Vec<f64>]) -> Result<f64, Undefined> {
     // tr (S1 S2)^(1/2) = tr (S1^(1/2) S2 S1^(1/2))^(1/2): the roots of a symmetric matrix.
     let root = square_root(&cov_a);
     let between = &root * &cov_b * &root;
-    let shared: f64 = eigenvalues(&between).iter().map(|v| v.max(0.0).sqrt()).sum();
+    let shared: f64 = eigenvalues(&between)
+        .iter()
+        .map(|v| v.max(0.0).sqrt())
+        .sum();
     let distance = apart + cov_a.trace() + cov_b.trace() - 2.0 * shared;
     distance
         .is_finite()
@@ -53,7 +56,10 @@ fn moments(images: &[Vec<f64>], channels: usize) -> (Vec<f64>, DMatrix<f64>) {
 
 fn eigenvalues(symmetric: &DMatrix<f64>) -> Vec<f64> {
     let symmetric = 0.5 * (symmetric + symmetric.transpose());
-    SymmetricEigen::new(symmetric).eigenvalues.as_slice().to_vec()
+    SymmetricEigen::new(symmetric)
+        .eigenvalues
+        .as_slice()
+        .to_vec()
 }
 
 fn square_root(covariance: &DMatrix<f64>) -> DMatrix<f64> {
