@@ -6,11 +6,14 @@
 //! generated from it), their E2E protection, their timing, and the log that takes the place of a
 //! bus on a desk. Refuses to judge: it sends what it is told, and a value that is not known is
 //! sent as not available, never as a good value. It has no clock, time is passed in as the time
-//! since the start of the drive, and it opens no socket.
+//! since the start of the drive, and only `bus` opens a socket.
 
+#[cfg(feature = "can")]
+pub mod bus;
 pub mod e2e;
 pub mod log;
 pub mod message;
+pub mod receiver;
 pub mod sender;
 
 use std::io;
@@ -156,13 +159,18 @@ impl CanSettings {
     }
 }
 
-/// Takes frames: a log or nothing at all.
+/// Takes frames: a bus, a log or nothing at all.
 pub trait WarningSink {
     /// Takes one frame, due at `at` since the start of the drive.
     ///
     /// # Errors
     /// When the frame was not taken; the same frame may be offered again.
     fn send(&mut self, at: Duration, frame: &CanFrame) -> Result<(), SinkError>;
+
+    /// A frame that came over the bus and waits, if there is one. Never blocks.
+    fn receive(&mut self) -> Option<CanFrame> {
+        None
+    }
 
     /// Ends the output, after the last frame; without it a log file is not put in place.
     ///
@@ -192,6 +200,14 @@ pub enum SinkError {
         /// What the system answered.
         source: io::Error,
     },
+    /// A bus did not take a frame now, and may take it later: down, full or unplugged.
+    #[error("the bus {sink} takes no frame")]
+    Refused {
+        /// Interface.
+        sink: String,
+        /// What the system answered.
+        source: io::Error,
+    },
     /// It cannot be completed.
     #[error("cannot put the CAN log {sink} in place")]
     Finish {
@@ -211,49 +227,84 @@ pub enum Sink {
     Stdout,
     /// `log:FILE`: candump log format to a file.
     LogFile(PathBuf),
+    /// `socketcan:IFACE`: a CAN interface.
+    #[cfg(feature = "can")]
+    Socket(String),
 }
 
 /// A word that names no sink of this build.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 pub enum SinkWordError {
     /// Not a kind of sink.
-    #[error("unknown CAN sink `{0}`: give log:FILE, log:- or none")]
+    #[error("unknown CAN sink `{0}`: give log:FILE, log:-, socketcan:IFACE or none")]
     Unknown(String),
     /// `log:` without a file.
     #[error("the CAN sink `log:` names no file: give log:FILE, or log:- for standard output")]
     NoFile,
+    /// `socketcan:` without an interface that Linux could have.
+    #[cfg(feature = "can")]
+    #[error(
+        "`{0}` names no interface: give socketcan:IFACE with 1 to 15 characters, as in socketcan:can0"
+    )]
+    NoInterface(String),
     /// A socket, which this build does not have.
-    #[error("this build has no CAN socket for `{0}`: give log:FILE, log:- or none")]
+    #[cfg(not(feature = "can"))]
+    #[error(
+        "this build has no CAN socket for `{0}` (build with --features can): give log:FILE, log:- or none"
+    )]
     NoSocket(String),
 }
 
 impl Sink {
-    /// Reads `log:FILE`, `log:-` or `none`.
+    /// Reads `log:FILE`, `log:-`, `socketcan:IFACE` or `none`.
     ///
     /// # Errors
-    /// A [`SinkWordError`] of one line for anything else, `socketcan:...` included.
+    /// A [`SinkWordError`] of one line for anything else.
     pub fn parse(word: &str) -> Result<Self, SinkWordError> {
         match word.split_once(':') {
             None if word == "none" => Ok(Self::None),
             Some(("log", "")) => Err(SinkWordError::NoFile),
             Some(("log", "-")) => Ok(Self::Stdout),
             Some(("log", path)) => Ok(Self::LogFile(path.into())),
+            #[cfg(feature = "can")]
+            Some(("socketcan", interface)) if is_interface(interface) => {
+                Ok(Self::Socket(interface.to_owned()))
+            }
+            #[cfg(feature = "can")]
+            Some(("socketcan", _)) => Err(SinkWordError::NoInterface(word.to_owned())),
+            #[cfg(not(feature = "can"))]
             Some(("socketcan", _)) => Err(SinkWordError::NoSocket(word.to_owned())),
             _ => Err(SinkWordError::Unknown(word.to_owned())),
         }
     }
 
-    /// Opens the sink.
+    /// Opens the sink; a bus lets the identifiers of `settings` through.
     ///
     /// # Errors
-    /// [`SinkError::Open`] when the log file cannot be written.
-    pub fn open(&self) -> Result<Box<dyn WarningSink>, SinkError> {
+    /// [`SinkError::Open`] when the log file cannot be written or there is no such interface.
+    #[cfg_attr(not(feature = "can"), expect(unused_variables))]
+    pub fn open(&self, settings: &CanSettings) -> Result<Box<dyn WarningSink>, SinkError> {
         match self {
             Self::None => Ok(Box::new(Nowhere)),
             Self::Stdout => Ok(Box::new(LogSink::stream("log:-", io::stdout()))),
             Self::LogFile(path) => Ok(Box::new(LogSink::create(path)?)),
+            #[cfg(feature = "can")]
+            Self::Socket(interface) => {
+                let heard = [settings.status.id, settings.health.id, settings.clear.id];
+                Ok(Box::new(bus::SocketSink::open(interface, &heard)?))
+            }
         }
     }
+}
+
+/// What Linux allows as the name of an interface.
+#[cfg(feature = "can")]
+fn is_interface(name: &str) -> bool {
+    const LONGEST: usize = 15;
+    (1..=LONGEST).contains(&name.len())
+        && name
+            .chars()
+            .all(|c| c.is_ascii_graphic() && !matches!(c, '/' | ':'))
 }
 
 impl FromStr for Sink {
@@ -334,12 +385,34 @@ mod tests {
     #[test]
     fn unknown_sink_words_are_refused_in_one_line() {
         assert_eq!(Sink::parse("log:"), Err(SinkWordError::NoFile));
-        for word in ["", "nono", "log", "none:", "file:x", "socketcan:vcan0"] {
+        for word in ["", "nono", "log", "none:", "file:x"] {
             let line = Sink::parse(word).unwrap_err().to_string();
             assert!(line.contains(&format!("`{word}`")), "{line}");
             assert!(line.contains("give log:FILE"), "{line}");
             assert!(!line.contains('\n'), "{line}");
         }
+    }
+
+    #[cfg(feature = "can")]
+    #[test]
+    fn interfaces_are_names_that_linux_allows() {
+        assert_eq!(
+            Sink::parse("socketcan:vcan0"),
+            Ok(Sink::Socket("vcan0".to_owned()))
+        );
+        for word in [
+            "socketcan:",
+            "socketcan:a/b",
+            "socketcan:a-name-too-long-for-it",
+        ] {
+            let line = Sink::parse(word).unwrap_err().to_string();
+            assert!(line.contains("as in socketcan:can0"), "{line}");
+        }
+    }
+
+    #[cfg(not(feature = "can"))]
+    #[test]
+    fn a_build_without_sockets_says_so() {
         let line = Sink::parse("socketcan:vcan0").unwrap_err().to_string();
         assert!(line.contains("this build has no CAN socket"), "{line}");
     }
@@ -350,7 +423,7 @@ mod tests {
             id: 0x5D0,
             data: [0; 8],
         };
-        let mut sink = Sink::None.open().unwrap();
+        let mut sink = Sink::None.open(&CanSettings::default()).unwrap();
         sink.send(Duration::ZERO, &frame).unwrap();
         sink.finish().unwrap();
     }

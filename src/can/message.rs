@@ -259,6 +259,9 @@ fn reason_code(reason: Reason) -> ReasonCode {
         Reason::Corrupt => ReasonCode::Corrupt,
         Reason::Stale => ReasonCode::Stale,
         Reason::Undefined => ReasonCode::Undefined,
+        Reason::Frozen => ReasonCode::Frozen,
+        Reason::Covered => ReasonCode::Covered,
+        Reason::Stopped => ReasonCode::Stopped,
     }
 }
 
@@ -274,6 +277,9 @@ fn reason_of(code: ReasonCode) -> Option<Reason> {
         ReasonCode::Corrupt => Some(Reason::Corrupt),
         ReasonCode::Stale => Some(Reason::Stale),
         ReasonCode::Undefined => Some(Reason::Undefined),
+        ReasonCode::Frozen => Some(Reason::Frozen),
+        ReasonCode::Covered => Some(Reason::Covered),
+        ReasonCode::Stopped => Some(Reason::Stopped),
         ReasonCode::NotAvailable | ReasonCode::_Other(_) => None,
     }
 }
@@ -319,7 +325,7 @@ mod tests {
         (AlarmState::SensorFault, 4),
         (AlarmState::Unavailable, 5),
     ];
-    const REASONS: [(Reason, u8); 10] = [
+    const REASONS: [(Reason, u8); 13] = [
         (Reason::None, 0),
         (Reason::Starting, 1),
         (Reason::Abrupt, 2),
@@ -327,7 +333,10 @@ mod tests {
         (Reason::Black, 4),
         (Reason::Uniform, 5),
         (Reason::Corrupt, 6),
+        (Reason::Frozen, 7),
+        (Reason::Covered, 8),
         (Reason::Stale, 10),
+        (Reason::Stopped, 11),
         (Reason::Undefined, 13),
         (Reason::TooSmall, 14),
     ];

@@ -1,0 +1,146 @@
+//! A CAN socket of Linux in the place of the log.
+//!
+//! Owns the socket: it never blocks, and it is opened again when the interface comes back. Refuses to give up: a bus that
+//! is down, full or unplugged refuses frames, and the sender keeps and counts them.
+
+use std::io;
+use std::time::Duration;
+
+use socketcan::{CanFilter, CanSocket, EmbeddedFrame, Id, Socket, SocketOptions, StandardId};
+
+use super::{CanFrame, LARGEST_ID, SinkError, WarningSink};
+
+/// Time between two attempts to open a socket on an interface that has gone.
+const REOPEN: Duration = Duration::from_millis(200);
+
+/// Bits of a socket's filter that tell extended and remote frames from standard data frames (`linux/can.h`).
+const NOT_STANDARD_DATA: u32 = 0xC000_0000;
+
+/// Sends to an interface and hears the frames with some identifiers.
+pub struct SocketSink {
+    /// As the user gave it, for messages.
+    name: String,
+    interface: String,
+    heard: Vec<u16>,
+    socket: Option<CanSocket>,
+    /// Drive time before which the socket is not opened again.
+    reopen_at: Duration,
+}
+
+impl SocketSink {
+    /// Opens `interface`, which may be down but must be there, and hears the identifiers `heard`.
+    ///
+    /// # Errors
+    /// [`SinkError::Open`] when there is no such CAN interface.
+    pub fn open(interface: &str, heard: &[u16]) -> Result<Self, SinkError> {
+        let name = format!("socketcan:{interface}");
+        match socket(interface, heard) {
+            Ok(socket) => Ok(Self {
+                name,
+                interface: interface.to_owned(),
+                heard: heard.to_vec(),
+                socket: Some(socket),
+                reopen_at: Duration::ZERO,
+            }),
+            Err(source) => Err(SinkError::Open { sink: name, source }),
+        }
+    }
+
+    fn write(&mut self, at: Duration, frame: &CanFrame) -> io::Result<()> {
+        if self.socket.is_none() {
+            if at < self.reopen_at {
+                return Err(io::ErrorKind::NotConnected.into());
+            }
+            self.reopen_at = at + REOPEN;
+            self.socket = Some(socket(&self.interface, &self.heard)?);
+            log::warn!("{}: the interface is back", self.name);
+        }
+        let id = StandardId::new(frame.id).ok_or(io::ErrorKind::InvalidInput)?;
+        let Some((socket, frame)) = self
+            .socket
+            .as_ref()
+            .zip(socketcan::CanFrame::new(id, &frame.data))
+        else {
+            return Err(io::ErrorKind::InvalidInput.into());
+        };
+        let taken = socket.write_frame(&frame);
+        // An interface that is down or full keeps its socket; one that was deleted or unplugged needs a new one.
+        if let Err(error) = &taken
+            && error.kind() != io::ErrorKind::WouldBlock
+            && !is_passing(error)
+        {
+            self.socket = None;
+            self.reopen_at = at + REOPEN;
+        }
+        taken
+    }
+}
+
+/// Down (ENETDOWN), full (ENOBUFS) or interrupted.
+fn is_passing(error: &io::Error) -> bool {
+    const ENOBUFS: i32 = 105;
+    matches!(
+        error.kind(),
+        io::ErrorKind::NetworkDown | io::ErrorKind::Interrupted
+    ) || error.raw_os_error() == Some(ENOBUFS)
+}
+
+fn socket(interface: &str, heard: &[u16]) -> io::Result<CanSocket> {
+    let socket = CanSocket::open(interface)?;
+    socket.set_nonblocking(true)?;
+    let mask = u32::from(LARGEST_ID) | NOT_STANDARD_DATA;
+    let filters: Vec<CanFilter> = heard
+        .iter()
+        .map(|&id| CanFilter::new(id.into(), mask))
+        .collect();
+    socket.set_filters(&filters)?;
+    Ok(socket)
+}
+
+impl WarningSink for SocketSink {
+    fn send(&mut self, at: Duration, frame: &CanFrame) -> Result<(), SinkError> {
+        self.write(at, frame).map_err(|source| SinkError::Refused {
+            sink: self.name.clone(),
+            source,
+        })
+    }
+
+    fn receive(&mut self) -> Option<CanFrame> {
+        let socket = self.socket.as_ref()?;
+        loop {
+            match socket.read_frame() {
+                Ok(frame) => {
+                    if let (Id::Standard(id), Ok(data)) = (frame.id(), frame.data().try_into()) {
+                        let id = id.as_raw();
+                        return Some(CanFrame { id, data });
+                    }
+                }
+                Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+                // Nothing there, or an interface that is down: what to do about that is found out by sending.
+                Err(_) => return None,
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    #[test]
+    fn an_interface_that_is_not_there_is_named() {
+        let refusal = SocketSink::open("nocan7", &[0x5D8]).err().unwrap();
+        assert!(matches!(refusal, SinkError::Open { .. }));
+        assert!(refusal.to_string().contains("socketcan:nocan7"));
+    }
+
+    #[test]
+    fn down_and_full_are_passing_and_unplugged_is_not() {
+        let (enobufs, enetdown, enodev, enxio) = (105, 100, 19, 6);
+        assert!(is_passing(&io::Error::from_raw_os_error(enobufs)));
+        assert!(is_passing(&io::Error::from_raw_os_error(enetdown)));
+        assert!(!is_passing(&io::Error::from_raw_os_error(enodev)));
+        assert!(!is_passing(&io::Error::from_raw_os_error(enxio)));
+    }
+}

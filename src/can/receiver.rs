@@ -1,0 +1,127 @@
+//! What is heard on the bus: requests to clear the stored bit, and other senders on our identifiers.
+//!
+//! Owns the check of `GapClear`. Refuses to act: whether a request is followed is the alarm's to say.
+
+use std::fmt;
+
+use super::e2e::{E2eError, E2eReceiver};
+use super::message::ClearRequest;
+use super::{CanFrame, CanSettings};
+
+/// What a frame from the bus means to the monitor.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Heard {
+    /// A valid request to clear the stored bit.
+    Clear,
+    /// A frame on the identifier of `GapClear` that is not valid.
+    Invalid,
+    /// Somebody else sends on one of our identifiers.
+    Foreign(u16),
+}
+
+impl fmt::Display for Heard {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Clear => f.write_str("a valid GapClear"),
+            Self::Invalid => f.write_str("an invalid GapClear, which is ignored"),
+            Self::Foreign(id) => write!(f, "another node sends our CAN id {id:#X}"),
+        }
+    }
+}
+
+/// Judges the frames that are heard.
+pub struct Receiver {
+    settings: CanSettings,
+    clear: E2eReceiver,
+}
+
+impl Receiver {
+    /// Has heard nothing yet.
+    pub fn new(settings: &CanSettings) -> Self {
+        Self {
+            clear: E2eReceiver::new(settings.clear.data_id),
+            settings: settings.clone(),
+        }
+    }
+
+    /// What `frame` means; `None` for a frame that is none of our business.
+    pub fn hear(&mut self, frame: &CanFrame) -> Option<Heard> {
+        if frame.id == self.settings.clear.id {
+            let checked = match self.clear.check(&frame.data) {
+                // After a pause of the tester its counter may stand anywhere.
+                Ok(_) | Err(E2eError::WrongSequence { .. }) => {
+                    ClearRequest::from_bytes(&frame.data).is_ok()
+                }
+                Err(_) => false,
+            };
+            return Some(if checked {
+                Heard::Clear
+            } else {
+                Heard::Invalid
+            });
+        }
+        let ours = [self.settings.status.id, self.settings.health.id];
+        ours.contains(&frame.id).then_some(Heard::Foreign(frame.id))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+    use crate::can::e2e::E2eSender;
+
+    fn requests(count: usize) -> Vec<CanFrame> {
+        let settings = CanSettings::default();
+        let mut sender = E2eSender::new(settings.clear.data_id);
+        let mut frames = vec![];
+        for _ in 0..count {
+            sender
+                .protect(ClearRequest.to_bytes(), |data| {
+                    let id = settings.clear.id;
+                    frames.push(CanFrame { id, data });
+                    Ok::<(), std::convert::Infallible>(())
+                })
+                .unwrap();
+        }
+        frames
+    }
+
+    #[test]
+    fn a_protected_request_clears_also_after_a_pause() {
+        let mut receiver = Receiver::new(&CanSettings::default());
+        let frames = requests(10);
+        for frame in [frames[0], frames[1], frames[9]] {
+            assert_eq!(receiver.hear(&frame), Some(Heard::Clear));
+        }
+    }
+
+    #[test]
+    fn a_damaged_or_repeated_request_or_another_code_is_invalid() {
+        let mut receiver = Receiver::new(&CanSettings::default());
+        let [first, second] = requests(2).try_into().unwrap();
+        let mut damaged = first;
+        damaged.data[2] ^= 1;
+        assert_eq!(receiver.hear(&damaged), Some(Heard::Invalid));
+        assert_eq!(receiver.hear(&first), Some(Heard::Clear));
+        assert_eq!(receiver.hear(&first), Some(Heard::Invalid));
+        let mut other_code = second;
+        E2eSender::new(0x5D8)
+            .protect([0, 0, 0x5A, 0, 0, 0, 0, 0], |data| {
+                other_code.data = data;
+                Ok::<(), std::convert::Infallible>(())
+            })
+            .unwrap();
+        let mut fresh = Receiver::new(&CanSettings::default());
+        assert_eq!(fresh.hear(&other_code), Some(Heard::Invalid));
+    }
+
+    #[test]
+    fn another_sender_on_our_identifiers_is_foreign() {
+        let mut receiver = Receiver::new(&CanSettings::default());
+        let mut hear = |id| receiver.hear(&CanFrame { id, data: [0; 8] });
+        assert_eq!(hear(0x5D0), Some(Heard::Foreign(0x5D0)));
+        assert_eq!(hear(0x5D1), Some(Heard::Foreign(0x5D1)));
+        assert_eq!(hear(0x123), None);
+    }
+}
