@@ -88,6 +88,12 @@ pub enum Reason {
     Stale,
     /// The frame has no gap: undefined activations or histograms.
     Undefined,
+    /// The picture has not changed by a single bit for too long.
+    Frozen,
+    /// More than half of the lens is covered.
+    Covered,
+    /// The monitor ends.
+    Stopped,
 }
 
 impl Reason {
@@ -104,12 +110,18 @@ impl Reason {
             Self::Corrupt => "corrupt",
             Self::Stale => "stale",
             Self::Undefined => "undefined",
+            Self::Frozen => "frozen",
+            Self::Covered => "covered",
+            Self::Stopped => "stopped",
         }
     }
 
     /// Whether the camera is to blame.
     fn is_sensor_fault(self) -> bool {
-        matches!(self, Self::Black | Self::Uniform | Self::Corrupt)
+        matches!(
+            self,
+            Self::Black | Self::Uniform | Self::Corrupt | Self::Frozen | Self::Covered
+        )
     }
 }
 
@@ -120,6 +132,8 @@ impl From<&Undefined> for Reason {
             Undefined::Uniform => Self::Uniform,
             Undefined::TooSmall { .. } => Self::TooSmall,
             Undefined::Corrupt(_) => Self::Corrupt,
+            Undefined::Frozen(_) => Self::Frozen,
+            Undefined::Covered { .. } => Self::Covered,
             _ => Self::Undefined,
         }
     }
@@ -197,9 +211,16 @@ impl Alarm {
         self.counter.clamp(COUNTER_MIN, COUNTER_MAX) as i8
     }
 
-    /// A gap was reported since the start.
+    /// A gap was reported since the start, or since it was last cleared.
     pub fn gap_stored(&self) -> bool {
         self.gap_stored
+    }
+
+    /// Clears the stored bit, and says whether it did: refused while the state is `Gap`, or would be if the road could be
+    /// seen.
+    pub fn clear_stored(&mut self) -> bool {
+        self.gap_stored &= self.in_gap;
+        !self.gap_stored
     }
 
     /// Takes a frame's judgement at time `now`, which never goes back, or that there was no frame (`Stale`).
@@ -365,6 +386,32 @@ mod tests {
             (alarm.state(), alarm.reason()),
             (AlarmState::Gap, Reason::Drift)
         );
+    }
+
+    #[test]
+    fn the_stored_bit_is_cleared_only_after_the_gap() {
+        let mut alarm = Alarm::default();
+        for tenth in 0..100 {
+            alarm.step(
+                Duration::from_millis(100) * tenth,
+                Judgement::Score {
+                    score: if tenth < 40 { 5.0 } else { 0.0 },
+                    settled: true,
+                },
+            );
+            match (tenth, alarm.state()) {
+                (30, state) => {
+                    assert_eq!(state, AlarmState::Gap);
+                    assert!(!alarm.clear_stored() && alarm.gap_stored());
+                }
+                (99, state) => {
+                    assert_eq!(state, AlarmState::Ok);
+                    assert!(alarm.gap_stored() && alarm.clear_stored());
+                    assert!(!alarm.gap_stored());
+                }
+                _ => {}
+            }
+        }
     }
 
     #[test]

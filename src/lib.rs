@@ -18,9 +18,13 @@
 //! [`pipeline::Monitor::step`] is that chain. What cannot be judged is [`undefined::Undefined`], never a number, and the
 //! car is told `Unavailable` or `SensorFault`, never `Ok`.
 
+pub mod board;
+
 // In the order in which a frame passes them; rustfmt sorts within a group.
 pub mod frame;
 pub mod scene;
+
+pub mod camera_health;
 
 pub mod model;
 pub mod preprocess;

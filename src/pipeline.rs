@@ -4,6 +4,7 @@ use std::time::Duration;
 
 use crate::alarm::{Alarm, AlarmState, Judgement, Reason};
 use crate::attention::{EnergyMap, Upsampler};
+use crate::camera_health::CameraHealth;
 use crate::detector::{BlockScore, Detector, Evidence};
 use crate::encoder::{Encoder, EncoderError};
 use crate::energies::EnergyStage;
@@ -14,6 +15,7 @@ use crate::undefined::Undefined;
 
 /// Watches one camera against one reference.
 pub struct Monitor {
+    camera: CameraHealth,
     stage: EnergyStage,
     components: Vec<Component>,
     /// Energy maps are looked at, not only channels.
@@ -61,6 +63,7 @@ impl Monitor {
         let stage = EnergyStage::new(encoder, &reference.model.preprocessing)?;
         let detector = Detector::new(reference);
         Ok(Self {
+            camera: CameraHealth::default(),
             stage,
             components: reference.components.clone(),
             needs_maps: reference.metric.divergence().is_some(),
@@ -76,7 +79,9 @@ impl Monitor {
     pub fn step(&mut self, frame: &Frame) -> Verdict {
         let now = frame.captured_at;
         let evidence = self
-            .take(frame)
+            .camera
+            .check(frame)
+            .and_then(|()| self.take(frame))
             .and_then(|()| self.detector.observe(now, &self.taken));
         self.alarm.step(
             now,
@@ -110,6 +115,11 @@ impl Monitor {
             fault_detection_counter: self.alarm.fault_detection_counter(),
             gap_stored: self.alarm.gap_stored(),
         }
+    }
+
+    /// Clears the stored bit, and says whether it did: refused while there is a gap.
+    pub fn clear_stored(&mut self) -> bool {
+        self.alarm.clear_stored()
     }
 
     /// What is known at `now` when the frame before it came too long ago, at the moment that the silence became too long;

@@ -17,6 +17,15 @@ pub enum Undefined {
     /// Every pixel has the same colour.
     #[error("picture is uniform: every pixel has the same colour")]
     Uniform,
+    /// The same picture, bit by bit, for longer than a camera's noise allows.
+    #[error("picture has not changed for {} ms", .0.as_millis())]
+    Frozen(std::time::Duration),
+    /// More than half of the picture is black, but not all of it.
+    #[error("{percent} % of the lens is covered")]
+    Covered {
+        /// Share of the picture.
+        percent: u8,
+    },
     /// The picture could not be read.
     #[error("{0}")]
     Corrupt(String),
