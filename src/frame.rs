@@ -3,14 +3,19 @@
 //! Owns opening sources by name and reading pictures. A picture that cannot be read is not the end of a source: it
 //! travels as a frame with its error, so that the monitor can say what it did not see.
 
+#[cfg(feature = "camera")]
+mod camera;
 mod drive;
 mod images;
+pub mod newest;
+pub mod pixels;
 mod random;
 mod video;
 
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
+use crate::board::CameraWish;
 use crate::scene::{DriveSpec, SpecError};
 
 /// Frames a second of a folder of images, unless its name says otherwise.
@@ -46,10 +51,11 @@ pub struct Frame {
 
 /// A picture that cannot be read.
 #[derive(Debug, thiserror::Error)]
-#[error("{}: {found}; wanted a whole PNG or JPEG image", path.display())]
+#[error("{}: {found}; wanted {wanted}", path.display())]
 pub struct PictureError {
     path: PathBuf,
     found: String,
+    wanted: &'static str,
 }
 
 /// A source that cannot be opened or goes on no more.
@@ -80,6 +86,14 @@ pub enum SourceError {
     /// A rendered drive that is not understood.
     #[error(transparent)]
     Scene(#[from] SpecError),
+    /// A camera that cannot be opened.
+    #[error("{device}: {why}")]
+    Camera {
+        /// Which.
+        device: String,
+        /// What the system answered, or what is missing.
+        why: String,
+    },
     /// A video that cannot be decoded.
     #[error("{}: {why}", path.display())]
     Video {
@@ -100,6 +114,29 @@ pub trait FrameSource: Send {
 
     /// How many frames there will be, when known.
     fn frame_count(&self) -> Option<u64>;
+
+    /// Whether frames come at their own pace, as from a camera.
+    fn is_live(&self) -> bool {
+        false
+    }
+}
+
+/// Opens what a board names as its camera: `v4l2:/dev/videoN`, asked for what is wished, or any other source.
+///
+/// # Errors
+/// When there is no such camera, or as [`open`].
+#[cfg_attr(not(feature = "camera"), expect(unused_variables))]
+pub fn open_camera(name: &str, wish: &CameraWish) -> Result<Box<dyn FrameSource>, SourceError> {
+    match name.strip_prefix("v4l2:") {
+        #[cfg(feature = "camera")]
+        Some(device) => Ok(Box::new(camera::CameraSource::open(device, wish)?)),
+        #[cfg(not(feature = "camera"))]
+        Some(_) => Err(SourceError::Name {
+            found: name.to_owned(),
+            wanted: "this build has no camera source (build with --features camera); wanted scene:…, random:…, a folder, an image or a video".to_owned(),
+        }),
+        None => open(name),
+    }
 }
 
 /// Opens a source by the name a user types: `scene:…`, `random:…`, a folder, an image or a video file.
@@ -118,7 +155,7 @@ pub fn open(name: &str) -> Result<Box<dyn FrameSource>, SourceError> {
     if name.starts_with("v4l2:") {
         return Err(SourceError::Name {
             found: name.to_owned(),
-            wanted: "this version has no camera source; wanted scene:…, random:…, a folder, an image or a video".to_owned(),
+            wanted: "a camera is watched by monitor; wanted scene:…, random:…, a folder, an image or a video".to_owned(),
         });
     }
     let (path, fps) = path_and_fps(name)?;
@@ -228,7 +265,7 @@ mod tests {
     fn sources_that_cannot_be_opened_say_why() {
         for (name, part) in [
             ("no-such-folder", "no such file or folder"),
-            ("v4l2:/dev/video0", "no camera source"),
+            ("v4l2:/dev/video0", "watched by monitor"),
             ("random:frames=0", "frames=1..100000"),
             ("src?fps=0", "?fps="),
             ("src", "no PNG or JPEG image"),

@@ -70,6 +70,7 @@ impl FrameSource for ImageSource {
         let picture = read(path).map_err(|found| PictureError {
             path: path.clone(),
             found,
+            wanted: "a whole PNG or JPEG image",
         });
         Ok(Some(Frame {
             sequence,
