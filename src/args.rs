@@ -21,6 +21,7 @@ pub struct Cli {
 #[derive(Debug, Subcommand)]
 pub enum Command {
     Replay(ReplayArgs),
+    Monitor(MonitorArgs),
     Calibrate(CalibrateArgs),
     Compare(CompareArgs),
     Scene(SceneArgs),
@@ -52,7 +53,7 @@ pub struct ReplayArgs {
     pub reference: Option<PathBuf>,
     #[command(flatten)]
     pub model: ModelArgs,
-    /// Where CAN frames go: log:FILE (candump format), log:- or none
+    /// Where CAN frames go: log:FILE (candump format), log:-, socketcan:IFACE (with --speed realtime) or none
     #[arg(long, value_name = "SINK", default_value = "none")]
     pub can: Sink,
     /// Journal to write, JSON lines
@@ -64,6 +65,26 @@ pub struct ReplayArgs {
     /// Let the exit code say what was found
     #[arg(long)]
     pub check: bool,
+}
+
+/// Watch a camera and warn on CAN, as the board file says
+///
+/// Runs until SIGTERM or SIGINT, then says on the bus that it has stopped. One line on standard output for each change of
+/// state. A board whose source is a drive shows it at its own pace and ends with it.
+#[derive(Debug, Args)]
+#[command(
+    after_help = "Example:\n  gapwatch monitor --board boards/desk-vcan.toml --seconds 60 --journal drive.jsonl"
+)]
+pub struct MonitorArgs {
+    /// Board file: camera, bus, reference; boards/README.md has the words
+    #[arg(long, value_name = "FILE.toml")]
+    pub board: PathBuf,
+    /// Stop after this many seconds
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    pub seconds: Option<u32>,
+    /// Journal to write, JSON lines; it appears when the monitor stops
+    #[arg(long, value_name = "FILE")]
+    pub journal: Option<PathBuf>,
 }
 
 /// Pace of a replay.

@@ -1,9 +1,11 @@
 //! One short file a command: wires a source, the chain and a sink.
 
+mod bus;
 mod calibrate;
 mod compare;
 mod evaluate;
 mod inspect;
+mod monitor;
 mod new_folder;
 mod pictures;
 mod progress;
@@ -11,11 +13,14 @@ mod replay;
 mod scene;
 
 use std::io::Write;
+use std::path::Path;
 
 use anyhow::bail;
+use gapwatch::alarm::AlarmState;
 use gapwatch::encoder::Encoder;
 use gapwatch::frame::open;
-use gapwatch::model::ModelSpec;
+use gapwatch::model::{ModelOptions, ModelSpec};
+use gapwatch::pipeline::Verdict;
 use gapwatch::reference::ModelFingerprint;
 use gapwatch::survey::{Keep, Survey, SurveyError};
 use rayon::prelude::*;
@@ -26,6 +31,7 @@ use crate::args::{Command, ModelArgs};
 pub fn run(command: Command, out: &mut dyn Write) -> anyhow::Result<u8> {
     match command {
         Command::Replay(args) => replay::run(&args, out),
+        Command::Monitor(args) => monitor::run(&args, out),
         Command::Calibrate(args) => calibrate::run(&args, out),
         Command::Compare(args) => compare::run(&args, out),
         Command::Scene(args) => scene::run(&args, out),
@@ -52,7 +58,11 @@ struct Model {
 
 impl Model {
     fn load(args: &ModelArgs) -> anyhow::Result<Self> {
-        let spec = ModelSpec::new(args.model.as_deref(), args.options())?;
+        Self::load_file(args.model.as_deref(), args.options())
+    }
+
+    fn load_file(file: Option<&Path>, options: ModelOptions) -> anyhow::Result<Self> {
+        let spec = ModelSpec::new(file, options)?;
         let encoder = Encoder::load(&spec)?;
         let fingerprint = ModelFingerprint::new(&spec, &encoder);
         Ok(Self {
@@ -87,4 +97,24 @@ impl Model {
         bar.finish_and_clear();
         Ok(surveys)
     }
+}
+
+/// One line for people about a change of state.
+fn state_line(verdict: &Verdict) -> String {
+    let mut line = format!(
+        "{:8.1} s  {:<11}",
+        verdict.at.as_secs_f64(),
+        verdict.state.name()
+    );
+    match (verdict.state, &verdict.undefined, verdict.score) {
+        (_, Some(why), _) => line += &format!("  {}: {why}", verdict.reason.name()),
+        (AlarmState::Init, _, _) => line += "  starting",
+        (_, None, Some(score)) => {
+            // No minus sign before a score that rounds to nothing.
+            let hundredths = (100.0 * score).round() + 0.0;
+            line += &format!("  score {:.2}", hundredths / 100.0);
+        }
+        (_, None, None) => {}
+    }
+    line
 }

@@ -46,9 +46,14 @@ fn wrong_use_is_met_with_one_line_and_exit_code_2_and_leaves_nothing_behind() {
             "no/such/folder/can.log",
         ),
         (vec!["replay", "--can", "can0"], "log:FILE"),
+        (vec!["monitor"], "--board"),
         (
-            vec!["replay", "--can", "socketcan:vcan0"],
-            "socketcan:vcan0",
+            vec!["monitor", "--board", "missing.toml"],
+            "missing.toml: No such file",
+        ),
+        (
+            vec!["replay", "--can", "socketcan:nocan7"],
+            "socketcan:nocan7",
         ),
         (
             vec!["replay", "--journal", "no/such/folder/j.jsonl"],
@@ -264,6 +269,7 @@ fn output_that_nobody_reads_is_not_a_job_done() {
 fn every_command_has_help_with_an_example() {
     for command in [
         "replay",
+        "monitor",
         "calibrate",
         "compare",
         "scene",

@@ -6,18 +6,15 @@ use std::time::{Duration, Instant};
 
 use anyhow::bail;
 use gapwatch::alarm::AlarmState;
-use gapwatch::can::message::{GapHealth, GapStatus};
-use gapwatch::can::sender::StatusSender;
-use gapwatch::can::{CanSettings, Sink, WarningSink};
-use gapwatch::detector::BlockScore;
+use gapwatch::can::{CanSettings, Sink};
 use gapwatch::frame::{BUILT_IN_DRIVE, open};
-use gapwatch::health::Health;
 use gapwatch::journal::Journal;
 use gapwatch::pipeline::{Monitor, Verdict};
 use gapwatch::reference::Reference;
 use indicatif::ProgressBar;
 
-use super::{Model, progress};
+use super::bus::Bus;
+use super::{Model, progress, state_line};
 use crate::args::{ReplayArgs, Speed};
 
 /// With `--check`: a judging state for at least this share of the time after `Init`, or "could not judge".
@@ -60,7 +57,7 @@ pub fn run(args: &ReplayArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
         .as_deref()
         .map(|path| Journal::create(path, &model.spec.taps))
         .transpose()?;
-    let bus = Bus::new(args.can.open()?, &reference)?;
+    let bus = Bus::new(&args.can, CanSettings::default(), &reference)?;
     let bar = progress::frames(source.frame_count(), "replaying");
     // With the CAN log on standard output, the lines for people go where they do not mix with it.
     let mut aside = std::io::stderr();
@@ -120,7 +117,7 @@ impl Told {
         out: &mut dyn Write,
     ) -> anyhow::Result<()> {
         let before = self.summary.add(verdict);
-        self.bus.tell(verdict, latency)?;
+        self.bus.tell(verdict.at, verdict, latency)?;
         if let Some(journal) = &mut self.journal {
             journal.add(verdict, latency)?;
         }
@@ -133,21 +130,7 @@ impl Told {
 
 /// One line for a change of state; never torn by the progress bar.
 fn tell_change(verdict: &Verdict, bar: &ProgressBar, out: &mut dyn Write) -> anyhow::Result<()> {
-    let mut line = format!(
-        "{:8.1} s  {:<11}",
-        verdict.at.as_secs_f64(),
-        verdict.state.name()
-    );
-    match (verdict.state, &verdict.undefined, verdict.score) {
-        (_, Some(why), _) => line += &format!("  {}: {why}", verdict.reason.name()),
-        (AlarmState::Init, _, _) => line += "  starting",
-        (_, None, Some(score)) => {
-            // No minus sign before a score that rounds to nothing.
-            let hundredths = (100.0 * score).round() + 0.0;
-            line += &format!("  score {:.2}", hundredths / 100.0);
-        }
-        (_, None, None) => {}
-    }
+    let line = state_line(verdict);
     if std::io::stderr().is_terminal() {
         bar.suspend(|| writeln!(out, "{line}"))
     } else {
@@ -155,74 +138,6 @@ fn tell_change(verdict: &Verdict, bar: &ProgressBar, out: &mut dyn Write) -> any
     }?;
     out.flush()?;
     Ok(())
-}
-
-/// The CAN side of a replay.
-struct Bus {
-    sender: StatusSender,
-    sink: Box<dyn WarningSink>,
-    health: Health,
-    strict: bool,
-    reference_id: u8,
-    /// When the last judged frame was taken.
-    judged_at: Option<Duration>,
-}
-
-impl Bus {
-    fn new(sink: Box<dyn WarningSink>, reference: &Reference) -> anyhow::Result<Self> {
-        Ok(Self {
-            sender: StatusSender::new(CanSettings::default())?,
-            sink,
-            health: Health::default(),
-            strict: reference.strict,
-            reference_id: reference.id(),
-            judged_at: None,
-        })
-    }
-
-    /// Sends what a verdict changes and what fell due up to its time. In a replay time stands still while a frame is
-    /// judged, so a judged frame is at first as old as its latency.
-    fn tell(&mut self, verdict: &Verdict, latency: Duration) -> anyhow::Result<()> {
-        if verdict.sequence.is_some() {
-            self.health
-                .note(verdict.at, latency, verdict.score.is_some());
-        }
-        if verdict.score.is_some() {
-            self.judged_at = Some(verdict.at);
-        }
-        let mut block_scores = [None; 3];
-        block_scores
-            .iter_mut()
-            .zip(&verdict.blocks)
-            .for_each(|(score, block): (_, &BlockScore)| *score = Some(block.score));
-        let status = GapStatus {
-            state: verdict.state,
-            reason: verdict.reason,
-            gap_stored: verdict.gap_stored,
-            score: verdict.score,
-            block_scores,
-            fault_detection_counter: verdict.fault_detection_counter,
-            frame_age: self
-                .judged_at
-                .map(|judged_at| verdict.at - judged_at + latency),
-        };
-        let health = GapHealth {
-            strict: self.strict,
-            frame_rate_hz: Some(self.health.judged_rate_hz(verdict.at)),
-            dropped_frames: 0,
-            latency_p50: self.health.latency(0.5),
-            latency_p99: self.health.latency(0.99),
-            window_fill: verdict.window_fill,
-            reference_id: self.reference_id,
-        };
-        self.sender.update(verdict.at, &status);
-        self.sender.update_health(verdict.at, &health);
-        Ok(self.sender.poll(verdict.at, self.sink.as_mut())?)
-    }
-
-    fn finish(self) -> anyhow::Result<()> {
-        Ok(self.sink.finish()?)
-    }
 }
 
 impl Summary {

@@ -1,0 +1,136 @@
+//! The CAN side of `replay` and `monitor`: verdicts into the messages of the bus.
+
+use std::time::Duration;
+
+use gapwatch::can::message::{GapHealth, GapStatus};
+use gapwatch::can::receiver::{Heard, Receiver};
+use gapwatch::can::sender::StatusSender;
+use gapwatch::can::{CanSettings, Sink, SinkError, WarningSink};
+use gapwatch::detector::BlockScore;
+use gapwatch::health::Health;
+use gapwatch::pipeline::Verdict;
+use gapwatch::reference::Reference;
+
+/// Shortest time between two lines of the program's log about the same trouble.
+pub const COMPLAINT: Duration = Duration::from_secs(1);
+
+/// A sink and what is said on it.
+pub struct Bus {
+    sender: StatusSender,
+    receiver: Receiver,
+    sink: Box<dyn WarningSink>,
+    health: Health,
+    strict: bool,
+    reference_id: u8,
+    /// When the last judged frame was taken.
+    judged_at: Option<Duration>,
+    complained_at: Option<Duration>,
+    window_fill: Option<f64>,
+    /// Frames that came and were never judged.
+    pub dropped_frames: u64,
+}
+
+impl Bus {
+    /// Opens the sink.
+    pub fn new(sink: &Sink, settings: CanSettings, reference: &Reference) -> anyhow::Result<Self> {
+        settings.check()?;
+        Ok(Self {
+            sink: sink.open(&settings)?,
+            receiver: Receiver::new(&settings),
+            sender: StatusSender::new(settings)?,
+            health: Health::default(),
+            strict: reference.strict,
+            reference_id: reference.id(),
+            judged_at: None,
+            complained_at: None,
+            window_fill: None,
+            dropped_frames: 0,
+        })
+    }
+
+    /// Sends what a verdict changes and what fell due up to `now`, when its frame is `latency` old. In a replay time stands
+    /// still while a frame is judged.
+    pub fn tell(
+        &mut self,
+        now: Duration,
+        verdict: &Verdict,
+        latency: Duration,
+    ) -> anyhow::Result<()> {
+        if verdict.sequence.is_some() {
+            self.health
+                .note(verdict.at, latency, verdict.score.is_some());
+        }
+        if verdict.score.is_some() {
+            self.judged_at = Some(verdict.at);
+        }
+        let mut block_scores = [None; 3];
+        block_scores
+            .iter_mut()
+            .zip(&verdict.blocks)
+            .for_each(|(score, block): (_, &BlockScore)| *score = Some(block.score));
+        let age = |judged_at| verdict.at.saturating_sub(judged_at) + latency;
+        let status = GapStatus {
+            state: verdict.state,
+            reason: verdict.reason,
+            gap_stored: verdict.gap_stored,
+            score: verdict.score,
+            block_scores,
+            fault_detection_counter: verdict.fault_detection_counter,
+            frame_age: self.judged_at.map(age),
+        };
+        self.window_fill = verdict.window_fill;
+        self.sender.update(now, &status);
+        self.tell_health_of(now, verdict.at);
+        self.poll(now)
+    }
+
+    /// Lets `GapHealth` know what time it is when there is nothing to tell.
+    pub fn tell_health(&mut self, now: Duration) {
+        self.tell_health_of(now, now);
+    }
+
+    fn tell_health_of(&mut self, now: Duration, at: Duration) {
+        let health = GapHealth {
+            strict: self.strict,
+            frame_rate_hz: Some(self.health.judged_rate_hz(at)),
+            dropped_frames: self.dropped_frames,
+            latency_p50: self.health.latency(0.5),
+            latency_p99: self.health.latency(0.99),
+            window_fill: self.window_fill,
+            reference_id: self.reference_id,
+        };
+        self.sender.update_health(now, &health);
+    }
+
+    /// Sends what fell due up to `now`. A bus that takes nothing is no end: the sender keeps and counts what waits.
+    pub fn poll(&mut self, now: Duration) -> anyhow::Result<()> {
+        match self.sender.poll(now, self.sink.as_mut()) {
+            Err(SinkError::Refused { sink, source }) => {
+                if self.complained_at.is_none_or(|at| now >= at + COMPLAINT) {
+                    self.complained_at = Some(now);
+                    log::warn!(
+                        "the bus {sink} takes no frame: {source}; {:?}",
+                        self.sender.counts()
+                    );
+                }
+                Ok(())
+            }
+            other => Ok(other?),
+        }
+    }
+
+    /// What was heard on the bus and concerns us.
+    pub fn hear(&mut self) -> Option<Heard> {
+        while let Some(frame) = self.sink.receive() {
+            if let Some(heard) = self.receiver.hear(&frame) {
+                return Some(heard);
+            }
+        }
+        None
+    }
+
+    /// Completes a log.
+    pub fn finish(self) -> anyhow::Result<()> {
+        Ok(self.sink.finish()?)
+    }
+}

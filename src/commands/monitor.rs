@@ -1,0 +1,336 @@
+//! `gapwatch monitor`: a camera through the monitor to the bus, in real time.
+//!
+//! Three threads: one takes frames, one judges the newest, and this one keeps the cycle of the bus whatever the others do.
+
+use std::io::Write;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, bail};
+use gapwatch::alarm::{AlarmState, Reason};
+use gapwatch::board::Board;
+use gapwatch::can::Sink;
+use gapwatch::can::receiver::Heard;
+use gapwatch::frame::newest::{Newest, Taken};
+use gapwatch::frame::{FrameSource, SourceError, open_camera};
+use gapwatch::journal::Journal;
+use gapwatch::model::ModelOptions;
+use gapwatch::pipeline::{Monitor, Verdict};
+use gapwatch::reference::Reference;
+use gapwatch::undefined::Undefined;
+use signal_hook::consts::{SIGINT, SIGTERM};
+use signal_hook::flag;
+
+use super::bus::{Bus, COMPLAINT};
+use super::{Model, state_line};
+use crate::args::MonitorArgs;
+
+/// How often the bus is looked after: half of the shortest time between two frames of `GapStatus`.
+const TICK: Duration = Duration::from_millis(10);
+/// How long the judge waits for a frame before it looks at the clock.
+const PATIENCE: Duration = Duration::from_millis(50);
+/// Without a word of the judge for this long the bus is told that there is no verdict: 500 ms, as for a camera that gives
+/// no frame, and the judge's patience.
+const SILENT: Duration = Duration::from_millis(550);
+/// How long a full or absent bus is offered the last message.
+const LAST_WORD: Duration = Duration::from_millis(200);
+
+/// A verdict on its way from the judge.
+struct Told {
+    verdict: Verdict,
+    dropped: u64,
+}
+
+pub fn run(args: &MonitorArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
+    let board = Board::read(&args.board)?;
+    let model = Model::load_file(board.monitor.model.as_deref(), ModelOptions::default())?;
+    let reference = read_reference(&board, &args.board)?;
+    let name = board.monitor.reference.as_deref();
+    let name = name.map_or_else(|| "built-in".to_owned(), |path| path.display().to_string());
+    reference.check_fits(&name, &model.fingerprint)?;
+    let source = open_camera(&board.camera.source, &board.camera.wish)?;
+    let journal = args
+        .journal
+        .as_deref()
+        .map(|path| Journal::create(path, &model.spec.taps))
+        .transpose()?;
+    let stop = Arc::new(AtomicBool::new(false));
+    for signal in [SIGTERM, SIGINT] {
+        flag::register(signal, Arc::clone(&stop)).context("cannot wait for signals")?;
+    }
+    let mut bus = Bus::new(&board.can.sink, board.can.settings.clone(), &reference)?;
+    if !matches!(board.can.sink, Sink::None) {
+        listen(&mut bus, &board, &stop)?;
+    }
+
+    let began = Instant::now();
+    let limit = args.seconds.map(|s| Duration::from_secs(s.into()));
+    let newest = Arc::new(Newest::default());
+    let clear = AtomicBool::new(false);
+    take_frames(source, Arc::clone(&newest), began);
+    std::thread::scope(|scope| {
+        let (verdicts, told) = channel();
+        let shared = Shared {
+            newest: &newest,
+            stop: &stop,
+            clear: &clear,
+            began,
+        };
+        let (model, reference, rate_hz) = (&model, &reference, board.monitor.rate_hz);
+        let judge = scope.spawn(move || judge(shared, model, reference, rate_hz, verdicts));
+        let mut teller = Teller {
+            bus,
+            journal,
+            last: nothing_yet(),
+            last_told: Duration::ZERO,
+            complained_at: Duration::ZERO,
+            out,
+        };
+        let told = teller.tell_all(&told, shared, limit);
+        // Also when telling failed, so that the judge ends.
+        stop.store(true, Ordering::Relaxed);
+        let judged = judge.join();
+        let ended = teller.last_word(began);
+        told.and(ended)?;
+        judged.map_err(|_| anyhow::anyhow!("the judge of frames ended by an internal error"))??;
+        Ok(0)
+    })
+}
+
+/// A reference made of simulation alone is a standing gap on a road, so a board must ask for it.
+fn read_reference(board: &Board, file: &Path) -> anyhow::Result<Reference> {
+    let reference = Reference::read(board.monitor.reference.as_deref())?;
+    if reference.strict && !board.monitor.strict {
+        bail!(
+            "{}: the reference {} is made of simulation alone, so any real road is a gap to it; wanted reference = \"FILE\" \
+             of one with accepted drives, or strict = true, in [monitor]",
+            file.display(),
+            board
+                .monitor
+                .reference
+                .as_ref()
+                .map_or_else(|| "built-in".to_owned(), |path| path.display().to_string()),
+        );
+    }
+    Ok(reference)
+}
+
+/// Listens before the first word: two senders of one identifier would destroy each other's frames.
+fn listen(bus: &mut Bus, board: &Board, stop: &AtomicBool) -> anyhow::Result<()> {
+    let began = Instant::now();
+    while began.elapsed() < board.can.listen && !stop.load(Ordering::Relaxed) {
+        if let Some(Heard::Foreign(id)) = bus.hear() {
+            bail!(
+                "CAN id {id:#X} is already sent by another node on this bus; wanted an id of our own: set status or health in [can] of the board"
+            );
+        }
+        std::thread::sleep(TICK);
+    }
+    Ok(())
+}
+
+/// Takes frames for ever, on a thread that nobody waits for: a camera may not answer.
+fn take_frames(mut source: Box<dyn FrameSource>, newest: Arc<Newest>, began: Instant) {
+    std::thread::spawn(move || {
+        let all = AssertUnwindSafe(|| all_frames(source.as_mut(), &newest, began));
+        let ended = catch_unwind(all).unwrap_or_else(|_| {
+            Err(SourceError::Camera {
+                device: "camera".to_owned(),
+                why: "ended by an internal error".to_owned(),
+            })
+        });
+        newest.end(ended);
+    });
+}
+
+fn all_frames(
+    source: &mut dyn FrameSource,
+    newest: &Newest,
+    began: Instant,
+) -> Result<(), SourceError> {
+    let live = source.is_live();
+    while let Some(mut frame) = source.next_frame()? {
+        if !live {
+            std::thread::sleep(frame.captured_at.saturating_sub(began.elapsed()));
+        }
+        frame.captured_at = began.elapsed();
+        newest.put(frame);
+    }
+    Ok(())
+}
+
+/// What the threads share.
+#[derive(Clone, Copy)]
+struct Shared<'a> {
+    newest: &'a Newest,
+    stop: &'a AtomicBool,
+    clear: &'a AtomicBool,
+    began: Instant,
+}
+
+/// Judges the newest frame, again and again, at the rate that the board asks for.
+fn judge(
+    shared: Shared<'_>,
+    model: &Model,
+    reference: &Reference,
+    rate_hz: f64,
+    verdicts: Sender<Told>,
+) -> anyhow::Result<()> {
+    let mut monitor = Monitor::new(&model.encoder, reference)?;
+    let period = Duration::from_secs_f64(1.0 / rate_hz);
+    let mut next = Duration::ZERO;
+    while !shared.stop.load(Ordering::Relaxed) {
+        let taken = shared.newest.take(PATIENCE);
+        if shared.clear.swap(false, Ordering::Relaxed) && !monitor.clear_stored() {
+            log::warn!("GapClear is refused while the state is Gap");
+        }
+        let verdict = match taken {
+            Taken::Frame(frame) => {
+                if let Some(silence) = monitor.silence(frame.captured_at) {
+                    tell(&verdicts, silence, shared.newest);
+                }
+                Some(monitor.step(&frame))
+            }
+            Taken::Nothing => monitor.silence(shared.began.elapsed()),
+            Taken::Ended(how) => return Ok(how?),
+        };
+        if let Some(verdict) = verdict {
+            let frame = verdict.sequence.is_some();
+            tell(&verdicts, verdict, shared.newest);
+            // Slept in advance of the next frame, which is then the newest.
+            if frame {
+                let now = shared.began.elapsed();
+                next = (next + period).max(now);
+                std::thread::sleep((next - now).min(PATIENCE.max(period)));
+            }
+        }
+    }
+    Ok(())
+}
+
+fn tell(verdicts: &Sender<Told>, verdict: Verdict, newest: &Newest) {
+    let dropped = newest.dropped();
+    // Nobody listens any more when the monitor is about to end.
+    let _ = verdicts.send(Told { verdict, dropped });
+}
+
+fn nothing_yet() -> Verdict {
+    Verdict {
+        at: Duration::ZERO,
+        sequence: None,
+        state: AlarmState::Init,
+        reason: Reason::Starting,
+        undefined: None,
+        score: None,
+        blocks: heapless::Vec::new(),
+        window_fill: None,
+        fault_detection_counter: 0,
+        gap_stored: false,
+    }
+}
+
+/// Tells bus, journal and people.
+struct Teller<'a> {
+    bus: Bus,
+    journal: Option<Journal>,
+    last: Verdict,
+    last_told: Duration,
+    complained_at: Duration,
+    out: &'a mut dyn Write,
+}
+
+impl Teller<'_> {
+    /// Keeps the cycle of the bus until the end of the frames, a signal or the limit.
+    fn tell_all(
+        &mut self,
+        verdicts: &Receiver<Told>,
+        shared: Shared<'_>,
+        limit: Option<Duration>,
+    ) -> anyhow::Result<()> {
+        let began = shared.began;
+        let nothing = nothing_yet();
+        self.tell(Duration::ZERO, &nothing, Duration::ZERO)?;
+        while !shared.stop.load(Ordering::Relaxed)
+            && limit.is_none_or(|limit| began.elapsed() < limit)
+        {
+            match verdicts.recv_timeout(TICK) {
+                Ok(told) => {
+                    let now = began.elapsed();
+                    self.bus.dropped_frames = told.dropped;
+                    let latency = now.saturating_sub(told.verdict.at);
+                    self.tell(now, &told.verdict, latency)?;
+                    self.last_told = now;
+                }
+                Err(RecvTimeoutError::Timeout) => {}
+                Err(RecvTimeoutError::Disconnected) => break,
+            }
+            let now = began.elapsed();
+            let unjudged = matches!(
+                self.last.state,
+                AlarmState::Unavailable | AlarmState::SensorFault
+            );
+            if now.saturating_sub(self.last_told) > SILENT && !unjudged {
+                let silent = self.without_frame(now, Reason::Stale, Some(Undefined::Silence));
+                self.tell(now, &silent, Duration::ZERO)?;
+            }
+            while let Some(heard) = self.bus.hear() {
+                if heard == Heard::Clear {
+                    shared.clear.store(true, Ordering::Relaxed);
+                } else if now >= self.complained_at + COMPLAINT {
+                    self.complained_at = now;
+                    log::warn!("on the bus: {heard}");
+                }
+            }
+            self.bus.tell_health(now);
+            self.bus.poll(now)?;
+        }
+        Ok(())
+    }
+
+    fn without_frame(&self, at: Duration, reason: Reason, why: Option<Undefined>) -> Verdict {
+        Verdict {
+            at,
+            state: AlarmState::Unavailable,
+            reason,
+            undefined: why,
+            fault_detection_counter: self.last.fault_detection_counter,
+            gap_stored: self.last.gap_stored,
+            ..nothing_yet()
+        }
+    }
+
+    fn tell(&mut self, now: Duration, verdict: &Verdict, latency: Duration) -> anyhow::Result<()> {
+        self.bus.tell(now, verdict, latency)?;
+        // The bus must hear what the disk or a terminal does not take.
+        if let Some(journal) = &mut self.journal
+            && let Err(error) = journal.add(verdict, latency)
+        {
+            log::error!("{error}; there will be no journal");
+            self.journal = None;
+        }
+        if (verdict.state, verdict.reason) != (self.last.state, self.last.reason) || now.is_zero() {
+            let _ = writeln!(self.out, "{}", state_line(verdict)).and_then(|()| self.out.flush());
+        }
+        self.last = verdict.clone();
+        Ok(())
+    }
+
+    /// Says that the monitor has stopped, and completes what was written.
+    fn last_word(mut self, began: Instant) -> anyhow::Result<()> {
+        let stopped = self.without_frame(began.elapsed(), Reason::Stopped, None);
+        let mut said = self.tell(stopped.at, &stopped, Duration::ZERO);
+        while said.is_ok() && began.elapsed() < stopped.at + LAST_WORD {
+            std::thread::sleep(TICK);
+            said = self.bus.poll(began.elapsed());
+        }
+        said.and(self.bus.finish())?;
+        if let Some(journal) = self.journal {
+            journal.finish()?;
+        }
+        Ok(())
+    }
+}

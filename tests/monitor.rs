@@ -1,0 +1,193 @@
+//! `gapwatch monitor` in real time: the cycle of the bus, its first and last word, and what it refuses.
+#![allow(clippy::unwrap_used, clippy::cast_possible_truncation)]
+
+mod program;
+
+use std::fs;
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+use gapwatch::alarm::{AlarmState, Reason};
+use gapwatch::board::Board;
+use gapwatch::can::e2e::{E2eReceiver, Sequence};
+use gapwatch::can::message::GapStatus;
+
+/// Longest time between two status frames: the cycle of 100 ms, and what a busy computer may take.
+const LATE: f64 = 0.35;
+
+fn monitor(folder: &Path, board: &str, args: &[&str]) -> Child {
+    fs::write(folder.join("board.toml"), board).unwrap();
+    Command::new(env!("CARGO_BIN_EXE_gapwatch"))
+        .args(["monitor", "--board", "board.toml"])
+        .args(args)
+        .current_dir(folder)
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap()
+}
+
+fn board(source: &str) -> String {
+    format!(
+        "[camera]\nsource = \"{source}\"\n[can]\nsink = \"log:can.log\"\nlisten_s = 0.0\n[monitor]\nstrict = true\n"
+    )
+}
+
+/// Times and contents of the status frames of a log, each with a right CRC and the next counter.
+fn status_frames(folder: &Path) -> Vec<(f64, GapStatus)> {
+    let log = fs::read_to_string(folder.join("can.log")).unwrap();
+    let mut receiver = E2eReceiver::new(0x5D0);
+    log.lines()
+        .filter_map(|line| {
+            let mut words = line.split(' ');
+            let at = words.next().unwrap().trim_matches(['(', ')']);
+            let data = words.nth(1).unwrap().strip_prefix("5D0#")?;
+            let data = u64::from_str_radix(data, 16).unwrap().to_be_bytes();
+            let sequence = receiver.check(&data).unwrap();
+            assert!(matches!(sequence, Sequence::First | Sequence::Next));
+            Some((at.parse().unwrap(), GapStatus::from_bytes(&data).unwrap()))
+        })
+        .collect()
+}
+
+fn longest_pause(frames: &[(f64, GapStatus)]) -> f64 {
+    let pauses = frames.windows(2).map(|pair| pair[1].0 - pair[0].0);
+    pauses.fold(0.0, f64::max)
+}
+
+#[test]
+fn a_drive_is_shown_at_its_own_pace_with_a_first_and_a_last_word() {
+    let folder = tempfile::tempdir().unwrap();
+    let source = "scene:sim?seed=7&seconds=3&fps=10";
+    let args = ["--journal", "drive.jsonl"];
+    let done = monitor(folder.path(), &board(source), &args)
+        .wait_with_output()
+        .unwrap();
+    assert!(done.status.success(), "{done:?}");
+    let frames = status_frames(folder.path());
+    let first = frames.first().unwrap().1;
+    let last = frames.last().unwrap().1;
+    assert_eq!(
+        (first.state, first.reason),
+        (AlarmState::Init, Reason::Starting)
+    );
+    assert_eq!(
+        (last.state, last.reason),
+        (AlarmState::Unavailable, Reason::Stopped)
+    );
+    assert!(frames.iter().any(|(_, status)| status.score.is_some()));
+    assert!(frames.last().unwrap().0 >= 2.5);
+    assert!(longest_pause(&frames) < LATE);
+    let journal = fs::read_to_string(folder.path().join("drive.jsonl")).unwrap();
+    assert!(journal.lines().last().unwrap().contains("stopped"));
+}
+
+#[test]
+fn the_cycle_goes_on_when_no_frame_comes_and_says_so() {
+    let folder = tempfile::tempdir().unwrap();
+    fs::create_dir(folder.path().join("slow")).unwrap();
+    for n in 0..2 {
+        image::RgbImage::from_fn(64, 32, |x, y| image::Rgb([(x + y + n) as u8, 90, x as u8]))
+            .save(folder.path().join(format!("slow/{n}.png")))
+            .unwrap();
+    }
+    // The second frame comes after 10 s.
+    let done = monitor(folder.path(), &board("slow?fps=0.1"), &["--seconds", "3"])
+        .wait_with_output()
+        .unwrap();
+    assert!(done.status.success(), "{done:?}");
+    let frames = status_frames(folder.path());
+    assert!(frames.last().unwrap().0 >= 2.9);
+    assert!(longest_pause(&frames) < LATE);
+    let stale = |status: &GapStatus| {
+        (status.state, status.reason) == (AlarmState::Unavailable, Reason::Stale)
+    };
+    let told = frames.iter().find(|(_, status)| stale(status)).unwrap().0;
+    assert!((0.5..2.0).contains(&told), "told after {told} s");
+    assert!(
+        frames
+            .iter()
+            .all(|(_, status)| status.state != AlarmState::Ok)
+    );
+}
+
+#[test]
+fn a_signal_ends_it_with_a_last_word_and_a_whole_log() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut child = monitor(folder.path(), &board("scene:sim?seed=7&seconds=60"), &[]);
+    std::thread::sleep(Duration::from_millis(2_500));
+    let killed = Command::new("sh")
+        .args(["-c", &format!("kill -TERM {}", child.id())])
+        .status();
+    assert!(killed.unwrap().success());
+    let since = Instant::now();
+    assert!(child.wait().unwrap().success());
+    assert!(since.elapsed() < Duration::from_secs(5));
+    let frames = status_frames(folder.path());
+    let last = frames.last().unwrap().1;
+    assert_eq!(
+        (last.state, last.reason),
+        (AlarmState::Unavailable, Reason::Stopped)
+    );
+}
+
+#[test]
+fn a_strict_reference_is_refused_unless_the_board_asks_for_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let asks = board("scene:sim?seed=7&seconds=2");
+    let board = asks.replace("strict = true", "strict = false");
+    let done = monitor(folder.path(), &board, &[])
+        .wait_with_output()
+        .unwrap();
+    assert_eq!(done.status.code(), Some(2));
+    let said = String::from_utf8(done.stderr).unwrap();
+    assert!(
+        said.contains("board.toml") && said.contains("strict = true"),
+        "{said}"
+    );
+    assert!(!folder.path().join("can.log").exists());
+}
+
+#[test]
+fn what_is_not_there_is_refused_before_anything_is_sent() {
+    let folder = tempfile::tempdir().unwrap();
+    let good = board("scene:sim?seed=7&seconds=2");
+    for (from, to, said) in [
+        ("strict = true", "strct = true", "board.toml:7:"),
+        (
+            "scene:sim?seed=7&seconds=2",
+            "no-such-drive",
+            "no such file or folder",
+        ),
+        (
+            "scene:sim?seed=7&seconds=2",
+            "v4l2:/dev/video-of-nobody",
+            "v4l2:/dev/video-of-nobody",
+        ),
+        ("log:can.log", "socketcan:nocan7", "socketcan:nocan7"),
+    ] {
+        let done = monitor(folder.path(), &good.replace(from, to), &[]);
+        let done = done.wait_with_output().unwrap();
+        assert_eq!(done.status.code(), Some(2));
+        let stderr = String::from_utf8(done.stderr).unwrap();
+        assert!(
+            stderr.contains(said.trim_start_matches("v4l2:")),
+            "{stderr}"
+        );
+        assert_eq!(stderr.lines().count(), 1, "{stderr}");
+    }
+}
+
+#[test]
+fn every_board_that_is_shipped_is_understood() {
+    let boards = fs::read_dir("boards").unwrap();
+    let boards = boards.map(|entry| entry.unwrap().path());
+    let boards: Vec<_> = boards
+        .filter(|path| path.extension().is_some_and(|e| e == "toml"))
+        .collect();
+    assert!(boards.len() >= 4);
+    for board in boards {
+        Board::read(&board).unwrap();
+    }
+}
