@@ -27,6 +27,7 @@ pub enum Command {
     Scene(SceneArgs),
     Inspect(InspectArgs),
     Evaluate(EvaluateArgs),
+    Report(ReportArgs),
 }
 
 /// How sources are named, for the help of every command that takes one.
@@ -247,6 +248,22 @@ pub enum EvaluateKey {
     /// Entries into Gap on nominal drives
     #[value(name = "false_alarms")]
     FalseAlarms,
+}
+
+/// Show a journal as one HTML file
+///
+/// Timeline, alarms with what is behind them, gaps by tap, what was judged and what not. The file needs no network.
+#[derive(Debug, Args)]
+#[command(
+    after_help = "Example:\n  gapwatch replay --journal drive.jsonl\n  gapwatch report drive.jsonl --out drive.html"
+)]
+pub struct ReportArgs {
+    /// Journal, as replay --journal writes it
+    #[arg(value_name = "JOURNAL")]
+    pub journal: PathBuf,
+    /// HTML file to write
+    #[arg(long, value_name = "FILE.html")]
+    pub out: PathBuf,
 }
 
 /// The model, if not the built-in one

@@ -10,6 +10,7 @@ mod new_folder;
 mod pictures;
 mod progress;
 mod replay;
+mod report;
 mod scene;
 
 use std::io::Write;
@@ -37,6 +38,7 @@ pub fn run(command: Command, out: &mut dyn Write) -> anyhow::Result<u8> {
         Command::Scene(args) => scene::run(&args, out),
         Command::Inspect(args) => inspect::run(&args, out),
         Command::Evaluate(args) => evaluate::run(&args, out),
+        Command::Report(args) => report::run(&args, out),
     }
 }
 

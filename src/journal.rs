@@ -1,15 +1,21 @@
-//! Journal: one JSON object a line for every frame that was looked at.
+//! Journal: one JSON object a line for every frame that was looked at. The first line also says what the run was made
+//! with.
+
+mod reading;
 
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use serde::Serialize;
 use serde::ser::{SerializeMap, Serializer};
+use serde::{Deserialize, Serialize};
 
 use crate::detector::BlockScore;
 use crate::pipeline::Verdict;
+use crate::reference::Reference;
 use crate::whole_file::WholeFile;
+
+pub use reading::{Entry, ReadError, Reading, read};
 
 /// A journal that cannot be written.
 #[derive(Debug, thiserror::Error)]
@@ -24,6 +30,52 @@ pub struct Journal {
     path: PathBuf,
     lines: WholeFile,
     taps: Vec<String>,
+    /// For the next line.
+    about: Option<About>,
+}
+
+/// What a run was made with; unknown fields are skipped and missing ones empty, so that versions read each other.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct About {
+    /// Version of the program.
+    pub gapwatch: String,
+    /// What was looked at, as typed.
+    pub source: String,
+    /// Name of the model.
+    pub model: String,
+    /// Hash of its ONNX file.
+    pub model_sha256: String,
+    /// The reference's file, or `built-in`.
+    pub reference: String,
+    /// Made of simulation alone.
+    pub strict: bool,
+    /// How gaps were measured.
+    pub metric: String,
+    /// Length of the detector's window, seconds.
+    pub window_s: f64,
+    /// Where the reference's medians and thresholds came from, and what they do not promise.
+    pub thresholds: String,
+    /// The command that makes the reference again.
+    pub calibrated_by: String,
+}
+
+impl About {
+    /// What is to be said of a run over `source` against the reference of that name.
+    pub fn new(source: &str, name: &str, reference: &Reference) -> Self {
+        Self {
+            gapwatch: env!("CARGO_PKG_VERSION").to_owned(),
+            source: source.to_owned(),
+            model: reference.model.name.clone(),
+            model_sha256: reference.model.sha256.clone(),
+            reference: name.to_owned(),
+            strict: reference.strict,
+            metric: reference.metric.to_string(),
+            window_s: reference.window_s,
+            thresholds: reference.provenance.thresholds.clone(),
+            calibrated_by: reference.provenance.command.clone(),
+        }
+    }
 }
 
 #[derive(Serialize)]
@@ -37,6 +89,9 @@ struct Line<'a> {
     similarity: PerTap<'a>,
     health: String,
     latency_ms: f64,
+    tap_score: PerTap<'a>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    about: Option<About>,
 }
 
 /// One number a tap, in the order of the taps; `null` where there is none.
@@ -70,7 +125,13 @@ impl Journal {
             path: path.to_owned(),
             lines,
             taps: taps.to_vec(),
+            about: None,
         })
+    }
+
+    /// Lets the next line say what the run is made with.
+    pub fn describe(&mut self, about: About) {
+        self.about = Some(about);
     }
 
     /// Adds a verdict and the time it took from frame to verdict.
@@ -78,6 +139,7 @@ impl Journal {
     /// # Errors
     /// When the disk does not take it.
     pub fn add(&mut self, verdict: &Verdict, latency: Duration) -> Result<(), JournalError> {
+        let about = self.about.take();
         let per_tap = |value| PerTap {
             taps: &self.taps,
             blocks: &verdict.blocks,
@@ -96,6 +158,8 @@ impl Journal {
                 .as_ref()
                 .map_or_else(|| "ok".to_owned(), ToString::to_string),
             latency_ms: latency.as_secs_f64() * 1e3,
+            tap_score: per_tap(|block| block.score),
+            about,
         };
         serde_json::to_writer(&mut self.lines, &line)
             .map_err(io::Error::from)

@@ -57,6 +57,7 @@ pub mod comparison;
 
 pub mod evaluation;
 pub mod heat;
+pub mod report;
 
 // What all of them use.
 pub mod journal;

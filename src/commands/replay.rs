@@ -9,6 +9,8 @@ use gapwatch::alarm::AlarmState;
 use gapwatch::can::{CanSettings, Sink};
 use gapwatch::frame::{BUILT_IN_DRIVE, open};
 use gapwatch::journal::Journal;
+use gapwatch::health::Health;
+use gapwatch::journal::{About, Journal};
 use gapwatch::pipeline::{Monitor, Verdict};
 use gapwatch::reference::Reference;
 use indicatif::ProgressBar;
@@ -51,13 +53,18 @@ pub fn run(args: &ReplayArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
         .map_or_else(|| "built-in".to_owned(), |path| path.display().to_string());
     reference.check_fits(&reference_name, &model.fingerprint)?;
     let mut monitor = Monitor::new(&model.encoder, &reference)?;
-    let mut source = open(args.source.as_deref().unwrap_or(BUILT_IN_DRIVE))?;
-    let journal = args
+    let source_name = args.source.as_deref().unwrap_or(BUILT_IN_DRIVE);
+    let mut source = open(source_name)?;
+    let mut journal = args
         .journal
         .as_deref()
         .map(|path| Journal::create(path, &model.spec.taps))
         .transpose()?;
     let bus = Bus::new(&args.can, CanSettings::default(), &reference)?;
+    if let Some(journal) = &mut journal {
+        journal.describe(About::new(source_name, &reference_name, &reference));
+    }
+    let bus = Bus::new(args.can.open()?, &reference)?;
     let bar = progress::frames(source.frame_count(), "replaying");
     // With the CAN log on standard output, the lines for people go where they do not mix with it.
     let mut aside = std::io::stderr();

@@ -1,0 +1,181 @@
+//! Reports: from a journal to a page, what is refused, and what a browser makes of it.
+#![allow(clippy::unwrap_used)]
+
+mod program;
+
+use std::fs;
+use std::path::Path;
+use std::process::Command;
+
+use program::{Ran, files, gapwatch_in, ran};
+
+const HOSTILE: &str = r#"</script><script>window.hacked=1</script>'\"><img src=x onerror='window.hacked=2'>\u202eäöü 路"#;
+
+/// A journal of a drive with a gap, black frames and silence, whose words are made to break out of the page.
+fn hostile_journal() -> String {
+    let line = |t: u32, state: &str, score: Option<f64>| {
+        let number =
+            |share: f64| score.map_or("null".to_owned(), |score| (score * share).to_string());
+        let health = if score.is_some() { "ok" } else { HOSTILE };
+        let reason = if state == "Ok" { "none" } else { HOSTILE };
+        format!(
+            r#"{{"t_s":{t},"seq":{t},"state":"{state}","reason":"{reason}","score":{},"gap":{{"{HOSTILE}":{},"e3":{}}},"similarity":{{"{HOSTILE}":null,"e3":0.5}},"health":"{health}","latency_ms":{t}.25,"tap_score":{{"e3":{},"e2":null}},"about":{{"source":"{HOSTILE}"}},"later":[1]}}"#,
+            number(1.0),
+            number(0.01),
+            number(0.02),
+            number(1.0),
+        )
+    };
+    let drive = [
+        ("Init", Some(0.1)),
+        ("Ok", Some(-0.25)),
+        ("Ok", Some(0.5)),
+        ("Suspect", Some(1.5)),
+        ("Gap", Some(7.125)),
+        ("Gap", None),
+        ("SensorFault", None),
+        ("Ok", Some(0.3)),
+        ("Suspect", Some(1.01)),
+        ("Ok", Some(-0.001)),
+        ("Unavailable", None),
+    ];
+    let lines = drive
+        .iter()
+        .zip(0..)
+        .map(|((state, score), t)| line(t, state, *score));
+    lines.collect::<Vec<_>>().join("\n") + "\n"
+}
+
+#[test]
+fn a_report_is_one_file_that_asks_for_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    let replay = [
+        "replay",
+        "scene:sim?seed=7&seconds=3&condition=fog:5@1-3",
+        "--journal",
+        "j.jsonl",
+    ];
+    gapwatch_in(folder.path(), &replay).ok();
+    let said = gapwatch_in(folder.path(), &["report", "j.jsonl", "--out", "r.html"]).ok();
+    assert!(
+        said.starts_with("r.html: 30 lines, 2.9 s of drive, "),
+        "{said}"
+    );
+    let page = fs::read_to_string(folder.path().join("r.html")).unwrap();
+    for asks in [
+        "src=\"http",
+        "href=\"http",
+        "url(h",
+        "url(/",
+        "@import",
+        "fetch(",
+        "//cdn",
+    ] {
+        assert!(!page.contains(asks), "{asks}");
+    }
+    assert!(page.contains("default-src 'none'"));
+    assert!(page.contains("scene:sim?seed=7&amp;seconds=3") && page.contains("log-energy-js"));
+    assert_eq!(files(folder.path()).len(), 2);
+}
+
+#[test]
+fn the_first_line_says_what_a_run_was_made_with_and_others_do_not() {
+    let folder = tempfile::tempdir().unwrap();
+    let drive = "scene:sim?seed=7&seconds=1";
+    gapwatch_in(folder.path(), &["replay", drive, "--journal", "j"]).ok();
+    let journal = fs::read_to_string(folder.path().join("j")).unwrap();
+    let lines: Vec<serde_json::Value> = journal
+        .lines()
+        .map(|line| serde_json::from_str(line).unwrap())
+        .collect();
+    let about = &lines[0]["about"];
+    assert_eq!(
+        (&about["source"], &about["reference"]),
+        (&drive.into(), &"built-in".into())
+    );
+    assert_eq!(about["model_sha256"].as_str().unwrap().len(), 64);
+    assert!(lines[1..].iter().all(|line| line.get("about").is_none()));
+    let largest = |line: &serde_json::Value| {
+        let scores = line["tap_score"].as_object().unwrap().values();
+        scores
+            .filter_map(serde_json::Value::as_f64)
+            .fold(f64::MIN, f64::max)
+    };
+    for line in &lines {
+        assert!((largest(line) - line["score"].as_f64().unwrap()).abs() < 1e-12);
+    }
+}
+
+#[test]
+fn what_is_no_journal_is_refused_and_leaves_nothing_behind() {
+    let folder = tempfile::tempdir().unwrap();
+    fs::write(folder.path().join("empty"), "").unwrap();
+    let good = hostile_journal();
+    let first = good.lines().next().unwrap();
+    fs::write(
+        folder.path().join("cut"),
+        format!("{first}\n{}", &first[..30]),
+    )
+    .unwrap();
+    fs::write(folder.path().join("picture"), [0xff, 0xd8, 0xff, 0, b'\n']).unwrap();
+    fs::write(folder.path().join("good"), &good).unwrap();
+    let before = files(folder.path());
+    for (journal, out, said) in [
+        ("missing", "r.html", "journal missing: No such file"),
+        (
+            "empty",
+            "r.html",
+            "journal empty: found no line; wanted at least one frame",
+        ),
+        ("cut", "r.html", "journal cut, line 2: found {"),
+        ("picture", "r.html", "journal picture, line 1"),
+        ("good", "no/such/r.html", "cannot write no/such/r.html"),
+        ("good", "good", "another file"),
+        ("good", "./good", "another file"),
+    ] {
+        let line = gapwatch_in(folder.path(), &["report", journal, "--out", out]).refusal();
+        assert!(line.contains(said), "{line}");
+        assert_eq!(files(folder.path()), before, "{journal}");
+    }
+    let help = gapwatch_in(folder.path(), &["report", "--help"]).ok();
+    assert!(
+        help.contains("Example:") && help.contains("gapwatch report"),
+        "{help}"
+    );
+}
+
+/// Opens a report in Chromium and compares it with its journal.
+fn check_in_browser(folder: &Path, journal: &str, report: &str) {
+    let python = std::env::var("GAPWATCH_PYTHON")
+        .expect("GAPWATCH_PYTHON names a Python with the packages of tests/requirements.txt; tests/run sets it");
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/browser/check_report.py");
+    let mut command = Command::new(python);
+    command
+        .arg(script)
+        .args([journal, report])
+        .current_dir(folder);
+    // Where GAPWATCH_SHOTS names a folder, pictures of the page are left in it.
+    if let Ok(shots) = std::env::var("GAPWATCH_SHOTS") {
+        let shots = Path::new(&shots).join(journal);
+        fs::create_dir_all(&shots).unwrap();
+        command.arg(shots);
+    }
+    let Ran { code, out, err } = ran(command.output().unwrap());
+    assert_eq!(code, 0, "{out}\n{err}");
+}
+
+#[test]
+#[ignore = "needs Chromium and the Python packages of tests/requirements.txt: run tests/run"]
+fn a_browser_shows_the_numbers_of_the_journal_and_opens_each_alarm() {
+    let folder = tempfile::tempdir().unwrap();
+    gapwatch_in(folder.path(), &["replay", "--journal", "drive"]).ok();
+    fs::write(folder.path().join("hostile"), hostile_journal()).unwrap();
+    let one = hostile_journal().lines().next().unwrap().to_owned();
+    fs::write(folder.path().join("one"), one).unwrap();
+    for journal in ["drive", "hostile"] {
+        let report = format!("{journal}.html");
+        gapwatch_in(folder.path(), &["report", journal, "--out", &report]).ok();
+        check_in_browser(folder.path(), journal, &report);
+    }
+    gapwatch_in(folder.path(), &["report", "one", "--out", "one.html"]).ok();
+}
