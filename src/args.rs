@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use gapwatch::calibration::{PaperBinning, Temperature};
 use gapwatch::can::Sink;
+use gapwatch::evidence::Quota;
 use gapwatch::gap::Metric;
 use gapwatch::model::ModelOptions;
 use gapwatch::reference::{WINDOW_S_MAX, WINDOW_S_MIN};
@@ -60,6 +61,15 @@ pub struct ReplayArgs {
     /// Journal to write, JSON lines
     #[arg(long, value_name = "FILE")]
     pub journal: Option<PathBuf>,
+    /// Folder for frames and heat maps around the beginning of each alarm; left out = no picture is kept
+    #[arg(long, value_name = "DIR")]
+    pub evidence: Option<PathBuf>,
+    /// Most events that the folder of evidence holds; the oldest go first
+    #[arg(long, value_name = "N", default_value_t = 200, requires = "evidence", value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    pub evidence_events: u32,
+    /// Most megabytes that it holds
+    #[arg(long, value_name = "MB", default_value_t = 256, requires = "evidence", value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
+    pub evidence_mb: u32,
     /// Pace of the drive
     #[arg(long, value_enum, default_value = "max")]
     pub speed: Speed,
@@ -86,6 +96,14 @@ pub struct MonitorArgs {
     /// Journal to write, JSON lines; it appears when the monitor stops
     #[arg(long, value_name = "FILE")]
     pub journal: Option<PathBuf>,
+impl ReplayArgs {
+    /// How much evidence may be kept.
+    pub fn quota(&self) -> Quota {
+        Quota {
+            bytes: u64::from(self.evidence_mb) * 1_000_000,
+            events: self.evidence_events as usize,
+        }
+    }
 }
 
 /// Pace of a replay.
@@ -255,12 +273,15 @@ pub enum EvaluateKey {
 /// Timeline, alarms with what is behind them, gaps by tap, what was judged and what not. The file needs no network.
 #[derive(Debug, Args)]
 #[command(
-    after_help = "Example:\n  gapwatch replay --journal drive.jsonl\n  gapwatch report drive.jsonl --out drive.html"
+    after_help = "Example:\n  gapwatch replay --journal drive.jsonl --evidence seen\n  gapwatch report drive.jsonl --evidence seen --out drive.html"
 )]
 pub struct ReportArgs {
     /// Journal, as replay --journal writes it
     #[arg(value_name = "JOURNAL")]
     pub journal: PathBuf,
+    /// Folder of replay --evidence: its pictures are shown beside the alarms
+    #[arg(long, value_name = "DIR")]
+    pub evidence: Option<PathBuf>,
     /// HTML file to write
     #[arg(long, value_name = "FILE.html")]
     pub out: PathBuf,

@@ -84,6 +84,11 @@ impl EnergyStage {
         &self.channels
     }
 
+    /// Energy maps of the last picture that was judged.
+    pub fn maps(&self) -> &[EnergyMap] {
+        &self.maps
+    }
+
     /// What the encoder saw of the last picture.
     pub fn seen(&self) -> Picture {
         self.preprocessor.seen()

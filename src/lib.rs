@@ -49,6 +49,8 @@ pub mod health;
 pub mod can;
 pub mod pipeline;
 
+pub mod evidence;
+
 // Whole sources at once.
 pub mod survey;
 

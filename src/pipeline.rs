@@ -8,7 +8,7 @@ use crate::camera_health::CameraHealth;
 use crate::detector::{BlockScore, Detector, Evidence};
 use crate::encoder::{Encoder, EncoderError};
 use crate::energies::EnergyStage;
-use crate::frame::Frame;
+use crate::frame::{Frame, Picture};
 use crate::model::TAPS_MAX;
 use crate::reference::{Component, Reference};
 use crate::undefined::Undefined;
@@ -54,6 +54,15 @@ pub struct Verdict {
     pub gap_stored: bool,
 }
 
+/// Where the encoder looked.
+#[derive(Clone, Debug)]
+pub struct Look {
+    /// What it saw.
+    pub seen: Picture,
+    /// Energies of each tap, of its block's own size.
+    pub energies: Vec<EnergyMap>,
+}
+
 impl Monitor {
     /// A monitor that has seen nothing. The reference must fit the encoder (`Reference::check_fits`).
     ///
@@ -91,6 +100,14 @@ impl Monitor {
             },
         );
         self.verdict(now, Some(frame.sequence), evidence)
+    }
+
+    /// Where the encoder looked in the last frame that was judged.
+    pub fn look(&self) -> Look {
+        Look {
+            seen: self.stage.seen(),
+            energies: self.stage.maps().to_vec(),
+        }
     }
 
     fn verdict(

@@ -6,9 +6,18 @@
 mod page;
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
 
 use crate::alarm::AlarmState;
+use crate::evidence::{self, Moment};
 use crate::journal::{About, Entry, Reading};
+
+/// Times that differ less are the same: the journal writes every digit.
+const SAME_TIME_S: f64 = 1e-6;
+/// About how many moments of an event are shown.
+const SHOWN_MOMENTS: usize = 6;
+/// Most alarms with pictures: each takes up to a megabyte of the page.
+const SHOWN_ALARMS_MAX: usize = 50;
 
 /// What a journal says as a whole.
 #[derive(Debug)]
@@ -17,6 +26,19 @@ pub struct Report {
     entries: Vec<Entry>,
     alarms: Vec<Alarm>,
     taps: Vec<String>,
+    /// By the alarm's place.
+    shown: BTreeMap<usize, Vec<Shown>>,
+}
+
+/// A picture beside an alarm.
+#[derive(Debug)]
+struct Shown {
+    /// Bytes of a JPEG file.
+    jpeg: Vec<u8>,
+    /// What it shows.
+    caption: String,
+    /// Where the encoder looked, of this tap.
+    tap: Option<String>,
 }
 
 /// A stretch of one kind of trouble: `Suspect` and `Gap` together, `SensorFault`, or `Unavailable`.
@@ -55,7 +77,46 @@ impl Report {
             taps: taps.into_iter().collect(),
             about,
             entries,
+            shown: BTreeMap::new(),
         }
+    }
+
+    /// Shows the evidence of a folder beside the alarms that it belongs to: those in which the journal has the moment that
+    /// began it.
+    ///
+    /// # Errors
+    /// When the folder or a file in it cannot be read.
+    pub fn show(&mut self, folder: &Path) -> Result<(), evidence::ReadError> {
+        for (folder, event) in evidence::read(folder)? {
+            let began = &event.moments[event.edge];
+            let place = self.alarms.iter().position(|alarm| {
+                let (first, _, next) = alarm.lines;
+                self.entries[first..next].iter().any(|entry| {
+                    (entry.sequence, entry.score) == (Some(began.seq), began.score)
+                        && (entry.t_s - began.t_s).abs() < SAME_TIME_S
+                })
+            });
+            let Some(place) = place.filter(|_| self.shown.len() < SHOWN_ALARMS_MAX) else {
+                continue;
+            };
+            let shown = self.shown.entry(place).or_default();
+            for moment in thinned(&event.moments, event.edge) {
+                let caption = format!("{:.2} s, {}", moment.t_s, moment.state);
+                shown.push(Shown {
+                    jpeg: evidence::picture(&folder, &moment.frame)?,
+                    caption: caption.clone(),
+                    tap: None,
+                });
+                for (tap, file) in &moment.heat {
+                    shown.push(Shown {
+                        jpeg: evidence::picture(&folder, file)?,
+                        caption: caption.clone(),
+                        tap: Some(tap.clone()),
+                    });
+                }
+            }
+        }
+        Ok(())
     }
 
     /// Lines of the journal.
@@ -123,6 +184,16 @@ impl Report {
     pub fn page(&self, name: &str) -> String {
         page::page(self, name)
     }
+}
+
+/// Few moments of many: those with heat maps and some between, evenly spread.
+fn thinned(moments: &[Moment], edge: usize) -> impl Iterator<Item = &Moment> {
+    let every = moments.len().div_ceil(SHOWN_MOMENTS).max(1);
+    let chosen = move |place: usize, moment: &Moment| {
+        place % every == edge % every || !moment.heat.is_empty()
+    };
+    let moments = moments.iter().enumerate();
+    moments.filter_map(move |(place, moment)| chosen(place, moment).then_some(moment))
 }
 
 /// States that belong to one alarm have the same kind; those that are none have no kind.

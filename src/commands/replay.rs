@@ -4,9 +4,14 @@ use std::collections::BTreeMap;
 use std::io::{IsTerminal, Write};
 use std::time::{Duration, Instant};
 
-use anyhow::bail;
+use anyhow::{Context, bail};
 use gapwatch::alarm::AlarmState;
 use gapwatch::can::{CanSettings, Sink};
+use gapwatch::can::message::{GapHealth, GapStatus};
+use gapwatch::can::sender::StatusSender;
+use gapwatch::can::{CanSettings, Sink, WarningSink};
+use gapwatch::detector::BlockScore;
+use gapwatch::evidence::{Kept, Recorder};
 use gapwatch::frame::{BUILT_IN_DRIVE, open};
 use gapwatch::journal::Journal;
 use gapwatch::health::Health;
@@ -64,6 +69,14 @@ pub fn run(args: &ReplayArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
     if let Some(journal) = &mut journal {
         journal.describe(About::new(source_name, &reference_name, &reference));
     }
+    let mut recorder = args
+        .evidence
+        .as_deref()
+        .map(|folder| {
+            Recorder::start(folder, args.quota(), &model.spec.taps)
+                .with_context(|| format!("cannot keep evidence in {}", folder.display()))
+        })
+        .transpose()?;
     let bus = Bus::new(args.can.open()?, &reference)?;
     let bar = progress::frames(source.frame_count(), "replaying");
     // With the CAN log on standard output, the lines for people go where they do not mix with it.
@@ -90,6 +103,9 @@ pub fn run(args: &ReplayArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
         let taken = Instant::now();
         let verdict = monitor.step(&frame);
         told.tell(&verdict, taken.elapsed(), out)?;
+        if let Some(recorder) = &mut recorder {
+            recorder.offer(&frame, &verdict, || monitor.look());
+        }
         told.bar.inc(1);
     }
     let Told {
@@ -104,7 +120,24 @@ pub fn run(args: &ReplayArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
         journal.finish()?;
     }
     summary.tell(began.elapsed(), out)?;
+    if let Some(recorder) = recorder {
+        tell_evidence(recorder.finish(), out)?;
+    }
     Ok(if args.check { summary.found() } else { 0 })
+}
+
+fn tell_evidence(kept: Kept, out: &mut dyn Write) -> std::io::Result<()> {
+    write!(out, "evidence: {} events written", kept.events)?;
+    for (count, what) in [
+        (kept.removed, "older ones removed"),
+        (kept.failed, "could not be written"),
+        (kept.dropped_frames, "frames left out"),
+    ] {
+        if count > 0 {
+            write!(out, ", {count} {what}")?;
+        }
+    }
+    writeln!(out)
 }
 
 /// Everybody who hears of a verdict.

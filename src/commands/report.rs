@@ -18,7 +18,10 @@ pub fn run(args: &ReportArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
             args.out.display()
         );
     }
-    let report = Report::new(journal::read(&args.journal)?);
+    let mut report = Report::new(journal::read(&args.journal)?);
+    if let Some(folder) = &args.evidence {
+        report.show(folder)?;
+    }
     let name = args.journal.file_name().unwrap_or_default();
     let page = report.page(&name.to_string_lossy());
     let cannot = || format!("cannot write {}", args.out.display());

@@ -5,7 +5,7 @@ use std::fmt::{self, Display, Write};
 use serde::Serialize;
 use sha2::{Digest, Sha256};
 
-use super::{Alarm, Report};
+use super::{Alarm, Report, Shown};
 use crate::alarm::AlarmState;
 use crate::journal::Entry;
 
@@ -31,12 +31,20 @@ const STATES: [(AlarmState, &str); 6] = [
     (AlarmState::Unavailable, "○"),
 ];
 
-/// Text of others: whatever it holds, it stays text.
+/// Text of others, set apart: whatever it holds, it stays text and turns no line around it.
 struct Text<'a>(&'a str);
 
 impl Display for Text<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("<bdi>")?;
+        write!(f, "<bdi>{}</bdi>", Escaped(self.0))
+    }
+}
+
+/// Text of others for attributes and titles.
+struct Escaped<'a>(&'a str);
+
+impl Display for Escaped<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         for c in self.0.chars() {
             match c {
                 '&' => f.write_str("&amp;")?,
@@ -48,7 +56,7 @@ impl Display for Text<'_> {
                 c => f.write_char(c)?,
             }
         }
-        f.write_str("</bdi>")
+        Ok(())
     }
 }
 
@@ -103,8 +111,7 @@ pub fn page(report: &Report, name: &str) -> String {
 
 fn write_page(report: &Report, name: &str, out: &mut String) -> fmt::Result {
     let script_hash = base64(&Sha256::digest(SCRIPT));
-    let title = Text(name).to_string();
-    let title = title.trim_start_matches("<bdi>").trim_end_matches("</bdi>");
+    let title = Escaped(name);
     write!(
         out,
         "<!DOCTYPE html>\n<html lang=\"en\"><head><meta charset=\"utf-8\">\
@@ -281,7 +288,8 @@ fn alarms(report: &Report, out: &mut String) -> fmt::Result {
         <th scope=\"col\" class=\"n\">Lasted</th><th scope=\"col\" class=\"n\">Largest score</th>\
         <th scope=\"col\">Tap that led</th><th scope=\"col\">Reason</th></tr></thead><tbody>",
     )?;
-    for (alarm, number) in report.alarms().iter().zip(1..).take(ALARMS_MAX) {
+    for (place, alarm) in report.alarms().iter().enumerate().take(ALARMS_MAX) {
+        let number = place + 1;
         let reasons = match alarm.reasons.as_slice() {
             [] => "–".to_owned(),
             reasons => Text(&reasons.join(", ")).to_string(),
@@ -304,7 +312,7 @@ fn alarms(report: &Report, out: &mut String) -> fmt::Result {
             alarm.to_s - alarm.from_s,
             Number(alarm.score_max, 2),
         )?;
-        behind(report, alarm, out)?;
+        behind(report, alarm, report.shown.get(&place), out)?;
         out.write_str("</td></tr>")?;
     }
     out.write_str("</tbody></table></div>")?;
@@ -319,7 +327,12 @@ fn alarms(report: &Report, out: &mut String) -> fmt::Result {
 }
 
 /// What is behind an alarm: a closer look, the taps at its beginning and worst, and the lines around its beginning.
-fn behind(report: &Report, alarm: &Alarm, out: &mut String) -> fmt::Result {
+fn behind(
+    report: &Report,
+    alarm: &Alarm,
+    shown: Option<&Vec<Shown>>,
+    out: &mut String,
+) -> fmt::Result {
     let (first, worst, next) = alarm.lines;
     let entries = &report.entries;
     write!(
@@ -327,6 +340,13 @@ fn behind(report: &Report, alarm: &Alarm, out: &mut String) -> fmt::Result {
         "<div class=\"closer\" data-from=\"{}\" data-to=\"{}\"></div>",
         alarm.from_s, alarm.to_s
     )?;
+    if let Some(shown) = shown {
+        let (seen, heat): (Vec<&Shown>, Vec<&Shown>) =
+            shown.iter().partition(|shown| shown.tap.is_none());
+        pictures("What the camera saw", "Frame", &seen, out)?;
+        let title = "Where the encoder looked, brighter is more";
+        pictures(title, "Energies over the frame", &heat, out)?;
+    }
     out.write_str(
         "<h3>By tap</h3><table><thead><tr><th scope=\"col\">Tap</th><th scope=\"col\" class=\"n\">Gap before</th>\
         <th scope=\"col\" class=\"n\">at the start</th><th scope=\"col\" class=\"n\">at the largest score</th>\
@@ -374,6 +394,27 @@ fn behind(report: &Report, alarm: &Alarm, out: &mut String) -> fmt::Result {
         )?;
     }
     out.write_str("</tbody></table>")
+}
+
+fn pictures(title: &str, what: &str, shown: &[&Shown], out: &mut String) -> fmt::Result {
+    if shown.is_empty() {
+        return Ok(());
+    }
+    write!(out, "<h3>{title}</h3><ul class=\"evidence\">")?;
+    for Shown { jpeg, caption, tap } in shown {
+        let caption = match tap {
+            Some(tap) => format!("{caption}, {tap}"),
+            None => caption.clone(),
+        };
+        write!(
+            out,
+            "<li><img alt=\"{what}, {}\" src=\"data:image/jpeg;base64,{}\"><span>{}</span></li>",
+            Escaped(&caption),
+            base64(jpeg),
+            Text(&caption)
+        )?;
+    }
+    out.write_str("</ul>")
 }
 
 fn judged(report: &Report, out: &mut String) -> fmt::Result {
@@ -446,7 +487,7 @@ fn judged(report: &Report, out: &mut String) -> fmt::Result {
 }
 
 fn calibration(report: &Report, out: &mut String) -> fmt::Result {
-    let Some(about) = &report.about else {
+    let Some(about) = report.about.as_ref().filter(|a| !a.reference.is_empty()) else {
         return Ok(());
     };
     out.write_str("<section><h2>Calibration</h2><dl>")?;

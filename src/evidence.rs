@@ -1,0 +1,452 @@
+//! Evidence of alarms: the frames around the moment at which one began, and where the encoder looked, in a bounded folder.
+//!
+//! The frame loop only hands over: pictures go through a bounded queue to a thread of their own, which keeps the last
+//! moments in memory as JPEG and writes an event once it is complete. What does not fit into the queue is dropped and
+//! counted; a disk that takes nothing is counted and logged. Each event is a folder that appears whole or not at all:
+//!
+//! ```text
+//! DIR/000012/event.json        what, when, why; the files below by name
+//! DIR/000012/frame-000196.jpg  a frame
+//! DIR/000012/heat-000199-2.jpg    energies of a tap over what the encoder saw, brighter is more
+//! ```
+
+mod folder;
+mod reading;
+
+use std::collections::{BTreeMap, VecDeque};
+use std::path::Path;
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use image::codecs::jpeg::JpegEncoder;
+use image::{ExtendedColorType, ImageEncoder};
+use serde::{Deserialize, Serialize};
+
+use crate::alarm::AlarmState;
+use crate::frame::{Frame, Picture};
+use crate::heat;
+use crate::pipeline::{Look, Verdict};
+
+use folder::EventFolder;
+pub use reading::{Event, ReadError, picture, read};
+
+/// Least time between two frames that are kept.
+const STEP: Duration = Duration::from_millis(200);
+/// How long before and after the beginning frames are kept.
+const AROUND: Duration = Duration::from_secs(2);
+/// Frames in memory before an alarm: those of [`AROUND`].
+const RING_MAX: usize = 10;
+/// Messages on their way to the writer.
+const QUEUE_MAX: usize = 16;
+/// Quality of the pictures, of 100.
+const JPEG_QUALITY: u8 = 85;
+
+/// How much a folder of evidence may hold; the oldest events go first.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Quota {
+    /// Bytes of all files.
+    pub bytes: u64,
+    /// Events.
+    pub events: usize,
+}
+
+impl Default for Quota {
+    /// 256 MiB and 200 events: a megabyte an event, at 1280x720.
+    fn default() -> Self {
+        Self {
+            bytes: 256 << 20,
+            events: 200,
+        }
+    }
+}
+
+/// What became of the evidence.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Kept {
+    /// Events written.
+    pub events: u64,
+    /// Older events removed for them.
+    pub removed: u64,
+    /// Events that could not be written.
+    pub failed: u64,
+    /// Frames that the writer had no time for.
+    pub dropped_frames: u64,
+}
+
+/// A moment of an event, as its `event.json` has it.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Moment {
+    /// Time of the frame, seconds since the source began.
+    pub t_s: f64,
+    /// Its number.
+    pub seq: u64,
+    /// What the car was told.
+    pub state: String,
+    /// Why.
+    pub reason: String,
+    /// The largest score of the blocks.
+    pub score: Option<f64>,
+    /// File of the frame.
+    pub frame: String,
+    /// Files of the heat maps by tap; most moments have none.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub heat: BTreeMap<String, String>,
+}
+
+/// A frame on its way to the writer.
+struct Message {
+    moment: Moment,
+    at: Duration,
+    edge: bool,
+    picture: Picture,
+    look: Option<Look>,
+}
+
+/// Hands frames over to the writer.
+pub struct Recorder {
+    sender: SyncSender<Message>,
+    writer: JoinHandle<Kept>,
+    state: AlarmState,
+    handed_at: Option<Duration>,
+    dropped_frames: u64,
+}
+
+impl Recorder {
+    /// Begins to record into `folder`, which is made if it is missing; events that are there stay, within the quota.
+    ///
+    /// # Errors
+    /// When nothing can be written there.
+    pub fn start(folder: &Path, quota: Quota, taps: &[String]) -> std::io::Result<Self> {
+        let folder = EventFolder::open(folder, quota)?;
+        let taps = taps.to_vec();
+        let (sender, receiver) = sync_channel(QUEUE_MAX);
+        let writer = std::thread::Builder::new()
+            .name("evidence".to_owned())
+            .spawn(move || Writer::new(folder, taps).run(&receiver))?;
+        Ok(Self {
+            sender,
+            writer,
+            state: AlarmState::Init,
+            handed_at: None,
+            dropped_frames: 0,
+        })
+    }
+
+    /// Offers a frame with its verdict; never waits. `look` is asked for at the beginning of an alarm only.
+    pub fn offer(&mut self, frame: &Frame, verdict: &Verdict, look: impl FnOnce() -> Look) {
+        let before = std::mem::replace(&mut self.state, verdict.state);
+        let alarming = |state| matches!(state, AlarmState::Suspect | AlarmState::Gap);
+        let edge = before != verdict.state
+            && (verdict.state == AlarmState::Gap
+                || (verdict.state == AlarmState::Suspect && !alarming(before)));
+        let due = self
+            .handed_at
+            .is_none_or(|at| frame.captured_at.saturating_sub(at) >= STEP);
+        let (true, Ok(picture)) = (edge || due, &frame.picture) else {
+            return;
+        };
+        self.handed_at = Some(frame.captured_at);
+        let message = Message {
+            moment: Moment {
+                t_s: frame.captured_at.as_secs_f64(),
+                seq: frame.sequence,
+                state: verdict.state.name().to_owned(),
+                reason: verdict.reason.name().to_owned(),
+                score: verdict.score,
+                frame: format!("frame-{:06}.jpg", frame.sequence),
+                heat: BTreeMap::new(),
+            },
+            at: frame.captured_at,
+            edge,
+            picture: picture.clone(),
+            look: (edge && verdict.score.is_some()).then(look),
+        };
+        if self.sender.try_send(message).is_err() {
+            self.dropped_frames += 1;
+            if edge {
+                // The next frame begins the event instead.
+                self.state = before;
+                self.handed_at = None;
+            }
+        }
+    }
+
+    /// Waits until everything is written.
+    pub fn finish(self) -> Kept {
+        drop(self.sender);
+        let kept = self.writer.join().unwrap_or_else(|_| {
+            log::warn!("evidence: the writer broke off");
+            Kept::default()
+        });
+        Kept {
+            dropped_frames: self.dropped_frames,
+            ..kept
+        }
+    }
+}
+
+/// A moment with its files.
+struct Held {
+    moment: Moment,
+    files: Vec<(String, Vec<u8>)>,
+}
+
+/// The other side of the queue.
+struct Writer {
+    folder: EventFolder,
+    taps: Vec<String>,
+    ring: VecDeque<Held>,
+    /// The event that is being gathered, and until when.
+    open: Option<(Vec<Held>, usize, Duration)>,
+    kept: Kept,
+}
+
+impl Writer {
+    fn new(folder: EventFolder, taps: Vec<String>) -> Self {
+        Self {
+            folder,
+            taps,
+            ring: VecDeque::with_capacity(RING_MAX),
+            open: None,
+            kept: Kept::default(),
+        }
+    }
+
+    fn run(mut self, messages: &Receiver<Message>) -> Kept {
+        for message in messages {
+            self.take(message);
+        }
+        self.close();
+        self.kept
+    }
+
+    fn take(&mut self, message: Message) {
+        let (edge, at) = (message.edge, message.at);
+        let held = match held(message, &self.taps) {
+            Ok(held) => held,
+            Err(error) => {
+                log::warn!("evidence: {error}");
+                return;
+            }
+        };
+        if self.open.as_ref().is_some_and(|(.., until)| at > *until) {
+            self.close();
+        }
+        match (&mut self.open, edge) {
+            // From suspicion to gap: the same event, for longer.
+            (Some((moments, _, until)), true) => {
+                moments.push(held);
+                *until = at + AROUND;
+            }
+            (Some((moments, ..)), false) => moments.push(held),
+            (None, true) => {
+                let mut moments: Vec<Held> = self.ring.drain(..).collect();
+                moments.push(held);
+                let edge = moments.len() - 1;
+                self.open = Some((moments, edge, at + AROUND));
+            }
+            (None, false) => {
+                if self.ring.len() == RING_MAX {
+                    self.ring.pop_front();
+                }
+                self.ring.push_back(held);
+            }
+        }
+    }
+
+    fn close(&mut self) {
+        let Some((moments, edge, _)) = self.open.take() else {
+            return;
+        };
+        let event = Event {
+            edge,
+            moments: moments.iter().map(|held| held.moment.clone()).collect(),
+        };
+        let files: Vec<_> = moments.into_iter().flat_map(|held| held.files).collect();
+        match self.folder.add(&event, &files) {
+            Ok(removed) => {
+                self.kept.events += 1;
+                self.kept.removed += removed;
+            }
+            Err(error) => {
+                self.kept.failed += 1;
+                log::warn!("evidence {}: {error}", self.folder.path().display());
+            }
+        }
+    }
+}
+
+fn held(message: Message, taps: &[String]) -> image::ImageResult<Held> {
+    let mut moment = message.moment;
+    let mut files = vec![(moment.frame.clone(), jpeg(&message.picture)?)];
+    if let Some(look) = &message.look {
+        for ((tap, energies), number) in taps.iter().zip(&look.energies).zip(1..) {
+            // Numbered, for names of taps may hold anything.
+            let name = format!("heat-{:06}-{}.jpg", moment.seq, number);
+            files.push((
+                name.clone(),
+                jpeg(&heat::with_energy(&look.seen, energies))?,
+            ));
+            moment.heat.insert(tap.clone(), name);
+        }
+    }
+    Ok(Held { moment, files })
+}
+
+fn jpeg(picture: &Picture) -> image::ImageResult<Vec<u8>> {
+    let mut bytes = Vec::new();
+    JpegEncoder::new_with_quality(&mut bytes, JPEG_QUALITY).write_image(
+        &picture.rgb,
+        picture.width,
+        picture.height,
+        ExtendedColorType::Rgb8,
+    )?;
+    Ok(bytes)
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+    use crate::alarm::Reason;
+    use crate::attention::EnergyMap;
+    use std::fs;
+
+    fn picture() -> Picture {
+        Picture {
+            width: 32,
+            height: 16,
+            rgb: (0..32 * 16 * 3).map(|i| (i % 251) as u8).collect(),
+        }
+    }
+
+    fn offer(recorder: &mut Recorder, tenth: u64, state: AlarmState) {
+        let at = Duration::from_millis(100 * tenth);
+        let frame = Frame {
+            sequence: tenth,
+            captured_at: at,
+            picture: Ok(picture()),
+        };
+        let verdict = Verdict {
+            at,
+            sequence: Some(tenth),
+            state,
+            reason: Reason::None,
+            undefined: None,
+            score: Some(1.5),
+            blocks: heapless::Vec::new(),
+            window_fill: Some(1.0),
+            fault_detection_counter: 0,
+            gap_stored: false,
+        };
+        recorder.offer(&frame, &verdict, || Look {
+            seen: picture(),
+            energies: vec![EnergyMap {
+                width: 2,
+                height: 1,
+                energy: vec![1.0, 2.0],
+            }],
+        });
+        // The writer's queue is short and this test faster than any camera.
+        std::thread::sleep(Duration::from_millis(2));
+    }
+
+    /// `count` alarms, one every 10 s, each with a second of suspicion before the gap.
+    fn record(folder: &Path, quota: Quota, count: u64) -> Kept {
+        let mut recorder = Recorder::start(folder, quota, &["../e2".to_owned()]).unwrap();
+        for tenth in 0..100 * count {
+            let state = match tenth % 100 {
+                50..60 => AlarmState::Suspect,
+                60..70 => AlarmState::Gap,
+                _ => AlarmState::Ok,
+            };
+            offer(&mut recorder, tenth, state);
+            if tenth % 100 == 99 {
+                // A slow disk has the time between two alarms to write the first.
+                std::thread::sleep(Duration::from_millis(500));
+            }
+        }
+        recorder.finish()
+    }
+
+    #[test]
+    fn an_event_holds_the_frames_around_its_beginning_and_where_the_encoder_looked() {
+        let folder = tempfile::tempdir().unwrap();
+        let kept = record(folder.path(), Quota::default(), 1);
+        assert_eq!((kept.events, kept.failed), (1, 0));
+        let events = read(folder.path()).unwrap();
+        let (_, event) = &events[0];
+        let moment = &event.moments[event.edge];
+        assert_eq!((moment.t_s, moment.state.as_str()), (5.0, "Suspect"));
+        assert_eq!(moment.heat.len(), 1);
+        let (first, last) = (&event.moments[0], event.moments.last().unwrap());
+        // Two seconds before the suspicion, two after the gap began.
+        assert!((2.8..=3.2).contains(&first.t_s), "{}", first.t_s);
+        assert!((7.8..=8.0).contains(&last.t_s), "{}", last.t_s);
+        assert!(
+            event
+                .moments
+                .windows(2)
+                .all(|pair| pair[0].t_s < pair[1].t_s)
+        );
+        assert_eq!(
+            event.moments.iter().filter(|m| !m.heat.is_empty()).count(),
+            2
+        );
+    }
+
+    #[test]
+    fn the_quota_is_kept_and_the_oldest_go_first() {
+        let folder = tempfile::tempdir().unwrap();
+        let quota = Quota {
+            bytes: u64::MAX,
+            events: 3,
+        };
+        let kept = record(folder.path(), quota, 5);
+        assert_eq!((kept.events, kept.removed), (5, 2));
+        let begun = |events: &[(std::path::PathBuf, Event)]| -> Vec<f64> {
+            events.iter().map(|(_, e)| e.moments[e.edge].t_s).collect()
+        };
+        assert_eq!(begun(&read(folder.path()).unwrap()), [25.0, 35.0, 45.0]);
+        // A later run goes on in the same folder, now with room for the bytes of one event and a half.
+        let size: u64 = fs::read_dir(folder.path().join("000005"))
+            .unwrap()
+            .map(|file| file.unwrap().metadata().unwrap().len())
+            .sum();
+        let quota = Quota {
+            bytes: size + size / 2,
+            events: 100,
+        };
+        let kept = record(folder.path(), quota, 1);
+        assert_eq!((kept.events, kept.removed), (1, 3));
+        assert_eq!(begun(&read(folder.path()).unwrap()), [5.0]);
+        // What is larger than the whole quota is not written, and nothing goes for it.
+        let quota = Quota {
+            bytes: size / 2,
+            events: 100,
+        };
+        let kept = record(folder.path(), quota, 1);
+        assert_eq!((kept.events, kept.failed), (0, 1));
+    }
+
+    #[test]
+    fn a_folder_that_takes_nothing_is_counted_and_not_fatal() {
+        let root = tempfile::tempdir().unwrap();
+        let folder = root.path().join("evidence");
+        let mut recorder = Recorder::start(&folder, Quota::default(), &[]).unwrap();
+        fs::remove_dir_all(&folder).unwrap();
+        fs::write(&folder, "a file").unwrap();
+        for tenth in 0..30 {
+            let state = if tenth < 10 {
+                AlarmState::Ok
+            } else {
+                AlarmState::Gap
+            };
+            offer(&mut recorder, tenth, state);
+        }
+        let kept = recorder.finish();
+        assert_eq!((kept.events, kept.failed), (0, 1));
+        assert!(Recorder::start(&folder, Quota::default(), &[]).is_err());
+    }
+}

@@ -1,0 +1,122 @@
+//! The folder of events on disk: each appears whole, and the quota holds.
+
+use std::fs::{self, File};
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+
+use super::Quota;
+use super::reading::{EVENT_FILE, Event};
+
+/// Names under which events are written and removed; never taken for an event.
+const UNFINISHED: &str = ".unfinished-";
+
+pub struct EventFolder {
+    path: PathBuf,
+    quota: Quota,
+    /// Number and bytes of the events, oldest first.
+    events: Vec<(u64, u64)>,
+    next: u64,
+}
+
+impl EventFolder {
+    /// Opens or makes a folder; what an earlier run left unfinished goes.
+    pub fn open(path: &Path, quota: Quota) -> io::Result<Self> {
+        fs::create_dir_all(path)?;
+        let mut events = Vec::new();
+        for entry in fs::read_dir(path)? {
+            let entry = entry?;
+            let name = entry.file_name();
+            let name = name.to_string_lossy();
+            if name.starts_with(UNFINISHED) {
+                fs::remove_dir_all(entry.path())?;
+            } else if let Some(number) = number(&name) {
+                events.push((number, bytes_in(&entry.path())?));
+            }
+        }
+        events.sort_unstable();
+        let next = events.last().map_or(1, |(number, _)| number + 1);
+        // Better refused at the start than counted at the first alarm.
+        let probe = path.join(format!("{UNFINISHED}probe"));
+        fs::create_dir(&probe)?;
+        fs::remove_dir(&probe)?;
+        Ok(Self {
+            path: path.to_owned(),
+            quota,
+            events,
+            next,
+        })
+    }
+
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Adds an event; gives how many older ones went for it.
+    pub fn add(&mut self, event: &Event, files: &[(String, Vec<u8>)]) -> io::Result<u64> {
+        let json = serde_json::to_vec_pretty(event)?;
+        let bytes = json.len() + files.iter().map(|(_, bytes)| bytes.len()).sum::<usize>();
+        let bytes = bytes as u64;
+        if bytes > self.quota.bytes || self.quota.events == 0 {
+            return Err(io::Error::other(format!(
+                "event of {bytes} bytes is larger than the quota"
+            )));
+        }
+        let mut removed = 0;
+        while self.events.len() >= self.quota.events || self.bytes() + bytes > self.quota.bytes {
+            self.remove_oldest()?;
+            removed += 1;
+        }
+        let unfinished = self.path.join(format!("{UNFINISHED}{:06}", self.next));
+        let written = self.write(&unfinished, &json, files);
+        if let Err(error) = written {
+            // Best effort: at the next start it goes in any case.
+            let _ = fs::remove_dir_all(&unfinished);
+            return Err(error);
+        }
+        self.events.push((self.next, bytes));
+        self.next += 1;
+        Ok(removed)
+    }
+
+    fn write(&self, unfinished: &Path, json: &[u8], files: &[(String, Vec<u8>)]) -> io::Result<()> {
+        fs::create_dir(unfinished)?;
+        let event = (EVENT_FILE, json);
+        let files = files
+            .iter()
+            .map(|(name, bytes)| (name.as_str(), bytes.as_slice()));
+        for (name, bytes) in files.chain([event]) {
+            let mut file = File::create_new(unfinished.join(name))?;
+            file.write_all(bytes)?;
+            // On the disk before the folder has its name, so that a loss of power leaves no hollow event.
+            file.sync_all()?;
+        }
+        fs::rename(unfinished, self.path.join(format!("{:06}", self.next)))
+    }
+
+    fn bytes(&self) -> u64 {
+        self.events.iter().map(|(_, bytes)| bytes).sum()
+    }
+
+    fn remove_oldest(&mut self) -> io::Result<()> {
+        let (number, _) = self.events.remove(0);
+        let gone = self.path.join(format!("{UNFINISHED}{number:06}-gone"));
+        match fs::rename(self.path.join(format!("{number:06}")), &gone) {
+            Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(()),
+            renamed => renamed.and_then(|()| fs::remove_dir_all(gone)),
+        }
+    }
+}
+
+/// The number of an event by the name of its folder.
+pub fn number(name: &str) -> Option<u64> {
+    let digits = name.len() >= 6 && name.bytes().all(|b| b.is_ascii_digit());
+    digits.then(|| name.parse().ok()).flatten()
+}
+
+fn bytes_in(folder: &Path) -> io::Result<u64> {
+    let mut bytes = 0;
+    for file in fs::read_dir(folder)? {
+        bytes += file?.metadata()?.len();
+    }
+    Ok(bytes)
+}
