@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::detector::BlockScore;
 use crate::pipeline::Verdict;
-use crate::reference::Reference;
+use crate::reference::{FalseAlarms, NominalDrives, Reference};
 use crate::whole_file::WholeFile;
 
 pub use reading::{Entry, ReadError, Reading, read};
@@ -56,6 +56,8 @@ pub struct About {
     pub window_s: f64,
     /// Where the reference's medians and thresholds came from, and what they do not promise.
     pub thresholds: String,
+    /// What is known of false alarms with them, in words.
+    pub false_alarms: String,
     /// The command that makes the reference again.
     pub calibrated_by: String,
 }
@@ -72,10 +74,31 @@ impl About {
             strict: reference.strict,
             metric: reference.metric.to_string(),
             window_s: reference.window_s,
-            thresholds: reference.provenance.thresholds.clone(),
+            thresholds: reference.false_alarms.method.clone(),
+            false_alarms: known_of(&reference.false_alarms),
             calibrated_by: reference.provenance.command.clone(),
         }
     }
+}
+
+/// What was measured of false alarms, in words.
+fn known_of(alarms: &FalseAlarms) -> String {
+    let drives = |what: &str, on: &NominalDrives| {
+        let (low, high) = on.per_hour;
+        format!(
+            "; {what} on {} nominal drives of {:.1} h together: {} entries into Gap, {low:.2} to {high:.2} an hour (95 %)",
+            on.drives, on.hours, on.entries
+        )
+    };
+    let mut text = format!("at most {} an hour wanted", alarms.wanted_per_hour);
+    text += &drives("chosen", &alarms.chosen_on);
+    if let Some(judged_on) = &alarms.judged_on {
+        text += &drives("judged", judged_on);
+    }
+    if let Some(missing) = &alarms.missing {
+        text += &format!("; not demonstrated: {missing}");
+    }
+    text
 }
 
 #[derive(Serialize)]

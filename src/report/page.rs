@@ -503,6 +503,7 @@ fn calibration(report: &Report, out: &mut String) -> fmt::Result {
         ("Metric", &about.metric),
         ("Window", &window),
         ("Thresholds", &about.thresholds),
+        ("False alarms", &about.false_alarms),
         ("Made by", &about.calibrated_by),
         ("Model", &about.model),
         ("SHA-256 of the model", &about.model_sha256),
