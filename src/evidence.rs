@@ -317,7 +317,7 @@ mod tests {
         Picture {
             width: 32,
             height: 16,
-            rgb: (0..32 * 16 * 3).map(|i| (i % 251) as u8).collect(),
+            rgb: [40, 90, 200].repeat(32 * 16),
         }
     }
 
