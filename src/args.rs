@@ -96,6 +96,8 @@ pub struct MonitorArgs {
     /// Journal to write, JSON lines; it appears when the monitor stops
     #[arg(long, value_name = "FILE")]
     pub journal: Option<PathBuf>,
+}
+
 impl ReplayArgs {
     /// How much evidence may be kept.
     pub fn quota(&self) -> Quota {

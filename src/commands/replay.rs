@@ -7,14 +7,8 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, bail};
 use gapwatch::alarm::AlarmState;
 use gapwatch::can::{CanSettings, Sink};
-use gapwatch::can::message::{GapHealth, GapStatus};
-use gapwatch::can::sender::StatusSender;
-use gapwatch::can::{CanSettings, Sink, WarningSink};
-use gapwatch::detector::BlockScore;
 use gapwatch::evidence::{Kept, Recorder};
 use gapwatch::frame::{BUILT_IN_DRIVE, open};
-use gapwatch::journal::Journal;
-use gapwatch::health::Health;
 use gapwatch::journal::{About, Journal};
 use gapwatch::pipeline::{Monitor, Verdict};
 use gapwatch::reference::Reference;
@@ -65,7 +59,6 @@ pub fn run(args: &ReplayArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
         .as_deref()
         .map(|path| Journal::create(path, &model.spec.taps))
         .transpose()?;
-    let bus = Bus::new(&args.can, CanSettings::default(), &reference)?;
     if let Some(journal) = &mut journal {
         journal.describe(About::new(source_name, &reference_name, &reference));
     }
@@ -77,7 +70,7 @@ pub fn run(args: &ReplayArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
                 .with_context(|| format!("cannot keep evidence in {}", folder.display()))
         })
         .transpose()?;
-    let bus = Bus::new(args.can.open()?, &reference)?;
+    let bus = Bus::new(&args.can, CanSettings::default(), &reference)?;
     let bar = progress::frames(source.frame_count(), "replaying");
     // With the CAN log on standard output, the lines for people go where they do not mix with it.
     let mut aside = std::io::stderr();
