@@ -29,6 +29,7 @@ pub enum Command {
     Inspect(InspectArgs),
     Evaluate(EvaluateArgs),
     Report(ReportArgs),
+    Bench(BenchArgs),
 }
 
 /// How sources are named, for the help of every command that takes one.
@@ -287,6 +288,39 @@ pub struct ReportArgs {
     /// HTML file to write
     #[arg(long, value_name = "FILE.html")]
     pub out: PathBuf,
+}
+
+/// Measure time, memory and allocations from picture to CAN frame
+///
+/// A short rendered drive passes stage by stage, with everything rendered and loaded beforehand; about 10 s.
+#[derive(Debug, Args)]
+#[command(
+    after_help = "Example:\n  gapwatch bench --model lane.onnx --frame 1920x1080 --format json"
+)]
+pub struct BenchArgs {
+    #[command(flatten)]
+    pub model: ModelArgs,
+    /// How the result is written
+    #[arg(long, value_enum, default_value = "table")]
+    pub format: TableFormat,
+    /// Chains that run at the same time, one thread each
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = threads)]
+    pub threads: usize,
+    /// Size of the camera's pictures, pixels
+    #[arg(long, value_name = "WxH", default_value = "1280x720")]
+    pub frame: PictureSize,
+}
+
+/// How a measurement is written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum TableFormat {
+    Table,
+    Json,
+}
+
+fn threads(text: &str) -> Result<usize, String> {
+    let threads = text.parse().ok().filter(|n| (1..=64).contains(n));
+    threads.ok_or_else(|| "wanted a number of threads from 1 to 64".to_owned())
 }
 
 /// The model, if not the built-in one

@@ -1,5 +1,6 @@
 //! One short file a command: wires a source, the chain and a sink.
 
+mod bench;
 mod bus;
 mod calibrate;
 mod compare;
@@ -39,6 +40,7 @@ pub fn run(command: Command, out: &mut dyn Write) -> anyhow::Result<u8> {
         Command::Inspect(args) => inspect::run(&args, out),
         Command::Evaluate(args) => evaluate::run(&args, out),
         Command::Report(args) => report::run(&args, out),
+        Command::Bench(args) => bench::run(&args, out),
     }
 }
 

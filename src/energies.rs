@@ -102,7 +102,7 @@ impl EnergyStage {
 
 impl ChannelMeans {
     /// Takes over a block's feature map; allocates only when the number of channels changes.
-    fn take(&mut self, features: &FeatureMap<'_>) {
+    pub fn take(&mut self, features: &FeatureMap<'_>) {
         let [channels, height, width] = features.shape;
         let cells = (height * width).max(1);
         // Sizes of feature maps are far below 2^52.

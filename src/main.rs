@@ -2,12 +2,16 @@
 
 mod args;
 mod commands;
+mod counting;
 
 use std::io::Write;
 use std::process::ExitCode;
 
 use clap::Parser;
 use clap::error::ErrorKind;
+
+#[global_allocator]
+static ALLOCATOR: counting::Counting = counting::Counting;
 
 /// Exit code of a command that could not do its job.
 const COULD_NOT: u8 = 2;

@@ -1,0 +1,500 @@
+//! `gapwatch bench`: time, memory and allocations of every stage from picture to CAN frame.
+
+use std::fs;
+use std::io::Write;
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, anyhow};
+use gapwatch::alarm::{Alarm, Judgement, Reason};
+use gapwatch::attention::{EnergyMap, Upsampler, common_size, energy_from_features};
+use gapwatch::calibration::{Domain, Wanted, calibrate};
+use gapwatch::can::message::{GapHealth, GapStatus};
+use gapwatch::can::sender::StatusSender;
+use gapwatch::can::{CanFrame, CanSettings, SinkError, WarningSink};
+use gapwatch::detector::{Detector, Evidence};
+use gapwatch::encoder::EncoderSession;
+use gapwatch::energies::ChannelMeans;
+use gapwatch::frame::{Frame, open};
+use gapwatch::pipeline::Monitor;
+use gapwatch::preprocess::Preprocessor;
+use gapwatch::reference::{Provenance, Reference};
+use gapwatch::survey::Keep;
+use gapwatch::undefined::Undefined;
+use serde::Serialize;
+
+use super::Model;
+use crate::args::{BenchArgs, TableFormat};
+use crate::counting;
+
+/// Longest measurement, and most frames: the rest of 20 s is for rendering and loading.
+const MEASURE: Duration = Duration::from_secs(8);
+const FRAMES_MAX: u64 = 500;
+/// First frames, which fill buffers and caches and are not counted.
+const WARM_UP: u64 = 5;
+/// Time between frames of the drive.
+const PERIOD: Duration = Duration::from_millis(100);
+
+/// Names of the stages, in the order of the chain.
+const STAGES: [&str; 6] = [
+    "preprocess",
+    "encoder",
+    "energy",
+    "histogram",
+    "detector",
+    "can",
+];
+
+/// What is written.
+#[derive(Serialize)]
+struct Bench {
+    machine: String,
+    threads: usize,
+    model: String,
+    frame: String,
+    frames: u64,
+    stages: Vec<Stage>,
+    encoder_ms: f64,
+    frame_ms: f64,
+    frame_p99_ms: f64,
+    /// CPU time of a thread for one frame through all stages; `None` where the machine does not tell.
+    cpu_ms: Option<f64>,
+    rss_mib: f64,
+    start_ms: f64,
+    binary_mib: f64,
+}
+
+/// One stage.
+#[derive(Serialize)]
+struct Stage {
+    name: &'static str,
+    median_ms: f64,
+    p99_ms: f64,
+    /// Requests for memory in one frame, median.
+    allocations: u64,
+}
+
+/// What was measured of one frame.
+struct Sample {
+    took: [Duration; STAGES.len()],
+    allocations: [u64; STAGES.len()],
+}
+
+/// What one thread measured.
+struct Measured {
+    samples: Vec<Sample>,
+    cpu: Option<Duration>,
+}
+
+pub fn run(args: &BenchArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
+    let frames = pictures(args)?;
+    let began = Instant::now();
+    let model = Model::load(&args.model)?;
+    let shipped = Reference::read(None)
+        .ok()
+        .filter(|reference| reference.check_fits("built-in", &model.fingerprint).is_ok());
+    let loaded = began.elapsed();
+    let reference = match shipped {
+        Some(reference) => reference,
+        None => made_for(&model)?,
+    };
+    let began = Instant::now();
+    let first = frames.first().context("the drive has no frames")?;
+    Monitor::new(&model.encoder, &reference)?.step(first);
+    let start = loaded + began.elapsed();
+
+    let measured = std::thread::scope(|scope| {
+        let threads: Vec<_> = (0..args.threads)
+            .map(|_| scope.spawn(|| measure(&model, &reference, &frames)))
+            .collect();
+        threads
+            .into_iter()
+            .map(|thread| {
+                thread
+                    .join()
+                    .unwrap_or_else(|_| Err(anyhow!("a measuring thread gave up")))
+            })
+            .collect::<anyhow::Result<Vec<Measured>>>()
+    })?;
+    let bench = summary(args, &model, &measured, start)?;
+    match args.format {
+        TableFormat::Json => writeln!(out, "{}", serde_json::to_string_pretty(&bench)?)?,
+        TableFormat::Table => table(&bench, out)?,
+    }
+    Ok(0)
+}
+
+/// A short rendered drive of the asked size.
+fn pictures(args: &BenchArgs) -> anyhow::Result<Vec<Frame>> {
+    let (width, height) = (args.frame.width, args.frame.height);
+    let mut source = open(&format!(
+        "scene:sim?seed=7&seconds=0.6&size={width}x{height}"
+    ))?;
+    let mut frames = Vec::new();
+    while let Some(frame) = source.next_frame()? {
+        frames.push(frame);
+    }
+    Ok(frames)
+}
+
+/// A reference for a model that has none: of two short drives, enough to have something to compare with.
+fn made_for(model: &Model) -> anyhow::Result<Reference> {
+    let drives = ["scene:sim?seed=1&seconds=3", "scene:sim?seed=2&seconds=3"].map(str::to_owned);
+    let surveys = model.survey(&drives, Keep::Maps, "making a reference")?;
+    let domain = Domain {
+        name: "simulation".to_owned(),
+        drives: &surveys,
+    };
+    let wanted = Wanted {
+        metric: "log-energy-js".parse().map_err(|why| anyhow!("{why}"))?,
+        window_s: 1.0,
+        false_alarms_per_hour: 1.0,
+    };
+    let made = calibrate(&[domain], &[], &model.spec.taps, wanted)?;
+    Ok(Reference::new(
+        model.fingerprint.clone(),
+        wanted.metric,
+        wanted.window_s,
+        made.false_alarms,
+        Provenance {
+            gapwatch: env!("CARGO_PKG_VERSION").to_owned(),
+            command: "bench".to_owned(),
+            sources: made.sources,
+        },
+        made.components,
+    ))
+}
+
+/// The chain with a clock between its stages.
+struct Stages<'a> {
+    reference: &'a Reference,
+    preprocessor: Preprocessor,
+    session: EncoderSession,
+    maps: Vec<EnergyMap>,
+    channels: Vec<ChannelMeans>,
+    size: (usize, usize),
+    upsamplers: Vec<Upsampler>,
+    common: Vec<EnergyMap>,
+    taken: Vec<u32>,
+    detector: Detector,
+    alarm: Alarm,
+    sender: StatusSender,
+    sink: Swallow,
+}
+
+/// A bus that takes everything.
+struct Swallow;
+
+impl WarningSink for Swallow {
+    fn send(&mut self, _at: Duration, frame: &CanFrame) -> Result<(), SinkError> {
+        std::hint::black_box(frame);
+        Ok(())
+    }
+}
+
+fn measure(model: &Model, reference: &Reference, frames: &[Frame]) -> anyhow::Result<Measured> {
+    let mut stages = Stages::new(model, reference)?;
+    let mut samples = Vec::new();
+    let mut cpu_before = None;
+    let began = Instant::now();
+    for (index, frame) in (0..WARM_UP + FRAMES_MAX).zip(frames.iter().cycle()) {
+        if index == WARM_UP {
+            cpu_before = cpu_time();
+        }
+        if index > WARM_UP && began.elapsed() > MEASURE {
+            break;
+        }
+        let now = PERIOD * u32::try_from(index)?;
+        let sample = stages
+            .step(now, frame)
+            .map_err(|why| anyhow!("a rendered frame cannot be judged: {why}"))?;
+        if index >= WARM_UP {
+            samples.push(sample);
+        }
+    }
+    let count = u32::try_from(samples.len())?.max(1);
+    let cpu = cpu_before
+        .zip(cpu_time())
+        .map(|(before, after)| after.saturating_sub(before) / count);
+    Ok(Measured { samples, cpu })
+}
+
+impl<'a> Stages<'a> {
+    fn new(model: &Model, reference: &'a Reference) -> anyhow::Result<Self> {
+        let of = &model.spec.preprocessing;
+        let taps = model.spec.taps.len();
+        let detector = Detector::new(reference);
+        Ok(Self {
+            reference,
+            preprocessor: Preprocessor::new(of),
+            session: model.encoder.session()?,
+            maps: vec![EnergyMap::default(); taps],
+            channels: vec![ChannelMeans::default(); taps],
+            size: common_size(of.width, of.height),
+            upsamplers: Vec::new(),
+            common: vec![EnergyMap::default(); taps],
+            taken: vec![0; detector.taken_len()],
+            detector,
+            alarm: Alarm::default(),
+            sender: StatusSender::new(CanSettings::default())?,
+            sink: Swallow,
+        })
+    }
+
+    /// One frame through the stages of `Monitor::step` and the sender; the check of the camera is not among them.
+    fn step(&mut self, now: Duration, frame: &Frame) -> Result<Sample, Undefined> {
+        let picture = frame
+            .picture
+            .as_ref()
+            .map_err(|error| Undefined::Corrupt(error.to_string()))?;
+        let mut clock = Clock::start();
+
+        let input = self.preprocessor.input(picture)?;
+        clock.lap();
+
+        let features = self.session.run(input).map_err(Undefined::Encoder)?;
+        clock.lap();
+
+        let blocks = self.maps.iter_mut().zip(&mut self.channels);
+        for (features, (map, channels)) in features.iter().zip(blocks) {
+            energy_from_features("", features, map)?;
+            channels.take(features);
+        }
+        clock.lap();
+
+        if self.upsamplers.is_empty() {
+            let sizes = self.maps.iter().map(|map| (map.width, map.height));
+            self.upsamplers = sizes.map(|from| Upsampler::new(from, self.size)).collect();
+        }
+        for ((map, upsampler), common) in
+            self.maps.iter().zip(&self.upsamplers).zip(&mut self.common)
+        {
+            upsampler.resample(map, common);
+        }
+        let mut taken = self.taken.as_mut_slice();
+        for component in &self.reference.components {
+            let blocks = self.common.iter().zip(&self.channels);
+            for (tap, (common, channels)) in component.taps.iter().zip(blocks) {
+                let (own, rest) = taken.split_at_mut(tap.nominal.len());
+                tap.nominal.take(common, channels, own)?;
+                taken = rest;
+            }
+        }
+        clock.lap();
+
+        let evidence = self.detector.observe(now, &self.taken);
+        self.alarm.step(
+            now,
+            match &evidence {
+                Ok(seen) => seen.judgement(),
+                Err(why) => Judgement::Cannot(Reason::from(why)),
+            },
+        );
+        clock.lap();
+
+        self.send(now, evidence.as_ref().ok());
+        clock.lap();
+        Ok(clock.sample)
+    }
+
+    fn send(&mut self, now: Duration, seen: Option<&Evidence>) {
+        let mut block_scores = [None; 3];
+        if let Some(seen) = seen {
+            for (score, block) in block_scores.iter_mut().zip(&seen.blocks) {
+                *score = Some(block.score);
+            }
+        }
+        let status = GapStatus {
+            state: self.alarm.state(),
+            reason: self.alarm.reason(),
+            gap_stored: self.alarm.gap_stored(),
+            score: seen.map(|seen| seen.score),
+            block_scores,
+            fault_detection_counter: self.alarm.fault_detection_counter(),
+            frame_age: Some(Duration::ZERO),
+        };
+        let health = GapHealth {
+            strict: self.reference.strict,
+            frame_rate_hz: None,
+            dropped_frames: 0,
+            latency_p50: None,
+            latency_p99: None,
+            window_fill: seen.map(|seen| seen.fill),
+            reference_id: 0,
+        };
+        self.sender.update(now, &status);
+        self.sender.update_health(now, &health);
+        // This bus refuses nothing.
+        let _ = self.sender.poll(now, &mut self.sink);
+    }
+}
+
+/// Time and requests for memory since the last lap.
+struct Clock {
+    sample: Sample,
+    stage: usize,
+    allocations: u64,
+    since: Instant,
+}
+
+impl Clock {
+    fn start() -> Self {
+        Self {
+            sample: Sample {
+                took: [Duration::ZERO; STAGES.len()],
+                allocations: [0; STAGES.len()],
+            },
+            stage: 0,
+            allocations: counting::requests(),
+            since: Instant::now(),
+        }
+    }
+
+    fn lap(&mut self) {
+        self.sample.took[self.stage] = self.since.elapsed();
+        self.sample.allocations[self.stage] = counting::requests() - self.allocations;
+        self.stage += 1;
+        self.allocations = counting::requests();
+        self.since = Instant::now();
+    }
+}
+
+fn summary(
+    args: &BenchArgs,
+    model: &Model,
+    measured: &[Measured],
+    start: Duration,
+) -> anyhow::Result<Bench> {
+    let samples: Vec<&Sample> = measured.iter().flat_map(|m| &m.samples).collect();
+    let stages: Vec<Stage> = STAGES
+        .iter()
+        .enumerate()
+        .map(|(stage, name)| {
+            let took: Vec<Duration> = samples.iter().map(|s| s.took[stage]).collect();
+            let mut allocations: Vec<u64> = samples.iter().map(|s| s.allocations[stage]).collect();
+            allocations.sort_unstable();
+            Stage {
+                name,
+                median_ms: ms(quantile(took.clone(), 50)),
+                p99_ms: ms(quantile(took, 99)),
+                allocations: allocations
+                    .get(allocations.len() / 2)
+                    .copied()
+                    .unwrap_or_default(),
+            }
+        })
+        .collect();
+    let whole: Vec<Duration> = samples.iter().map(|s| s.took.iter().sum()).collect();
+    let cpu: Option<Vec<Duration>> = measured.iter().map(|m| m.cpu).collect();
+    Ok(Bench {
+        machine: machine(),
+        threads: args.threads,
+        model: model.spec.name.clone(),
+        frame: format!("{}x{}", args.frame.width, args.frame.height),
+        frames: samples.len() as u64,
+        encoder_ms: stages[1].median_ms,
+        stages,
+        frame_ms: ms(quantile(whole.clone(), 50)),
+        frame_p99_ms: ms(quantile(whole, 99)),
+        cpu_ms: cpu.map(|cpu| ms(quantile(cpu, 50))),
+        rss_mib: resident_mib()?,
+        start_ms: ms(start),
+        binary_mib: mib(fs::metadata(std::env::current_exe()?)?.len()),
+    })
+}
+
+fn quantile(mut of: Vec<Duration>, percent: usize) -> Duration {
+    of.sort_unstable();
+    let last = of.len().saturating_sub(1);
+    of.get(last * percent / 100).copied().unwrap_or_default()
+}
+
+/// To the microsecond.
+fn ms(time: Duration) -> f64 {
+    (time.as_secs_f64() * 1e6).round() / 1e3
+}
+
+#[allow(clippy::cast_precision_loss)]
+fn mib(bytes: u64) -> f64 {
+    (bytes as f64 / 1_048_576.0 * 100.0).round() / 100.0
+}
+
+/// Processor, cores and system, as far as they are told.
+fn machine() -> String {
+    let processor = fs::read_to_string("/proc/cpuinfo").ok().and_then(|text| {
+        let line = text.lines().find(|line| line.starts_with("model name"))?;
+        Some(line.split_once(':')?.1.trim().to_owned())
+    });
+    format!(
+        "{}, {} cores, {} {}",
+        processor.as_deref().unwrap_or("processor not told"),
+        std::thread::available_parallelism().map_or(1, usize::from),
+        std::env::consts::OS,
+        std::env::consts::ARCH
+    )
+}
+
+/// CPU time of this thread so far, to 10 ms, from Linux.
+fn cpu_time() -> Option<Duration> {
+    let text = fs::read_to_string("/proc/thread-self/stat").ok()?;
+    // The program's name, in parentheses, may hold spaces; `utime` and `stime` are the fields 14 and 15.
+    let mut after_name = text.rsplit_once(')')?.1.split_whitespace().skip(11);
+    let (user, system): (u64, u64) = (
+        after_name.next()?.parse().ok()?,
+        after_name.next()?.parse().ok()?,
+    );
+    Some(Duration::from_millis(10 * (user + system)))
+}
+
+/// Memory of this program in use now.
+fn resident_mib() -> anyhow::Result<f64> {
+    let status = "/proc/self/status";
+    let text = fs::read_to_string(status).context(status)?;
+    let kib: Option<u64> = text
+        .lines()
+        .find_map(|line| line.strip_prefix("VmRSS:"))
+        .and_then(|rest| rest.split_whitespace().next()?.parse().ok());
+    Ok(mib(
+        1024 * kib.with_context(|| format!("{status}: no VmRSS"))?
+    ))
+}
+
+fn table(bench: &Bench, out: &mut dyn Write) -> anyhow::Result<()> {
+    let Bench {
+        machine,
+        model,
+        threads,
+        frame,
+        frames,
+        ..
+    } = bench;
+    writeln!(
+        out,
+        "{machine}\n{model}, {frames} frames of {frame}, {threads} at a time"
+    )?;
+    writeln!(
+        out,
+        "{:<12}{:>12}{:>12}{:>13}",
+        "stage", "median ms", "p99 ms", "allocations"
+    )?;
+    for stage in &bench.stages {
+        writeln!(
+            out,
+            "{:<12}{:>12.3}{:>12.3}{:>13}",
+            stage.name, stage.median_ms, stage.p99_ms, stage.allocations
+        )?;
+    }
+    writeln!(
+        out,
+        "{:<12}{:>12.3}{:>12.3}",
+        "frame", bench.frame_ms, bench.frame_p99_ms
+    )?;
+    if let Some(cpu_ms) = bench.cpu_ms {
+        writeln!(out, "CPU time {cpu_ms:.3} ms a frame")?;
+    }
+    writeln!(
+        out,
+        "resident {:.1} MiB, start to first verdict {:.0} ms, program {:.1} MiB",
+        bench.rss_mib, bench.start_ms, bench.binary_mib
+    )?;
+    Ok(())
+}

@@ -1,0 +1,46 @@
+//! `gapwatch bench`: its keys and what must hold among them on any machine.
+#![allow(clippy::unwrap_used)]
+
+mod program;
+
+use program::gapwatch_in;
+
+#[test]
+fn bench_has_its_keys_and_its_numbers_fit_together() {
+    let folder = tempfile::tempdir().unwrap();
+    let args = ["bench", "--format", "json", "--frame", "320x160"];
+    let bench: serde_json::Value =
+        serde_json::from_str(&gapwatch_in(folder.path(), &args).ok()).unwrap();
+    let number = |of: &serde_json::Value, key: &str| {
+        of[key]
+            .as_f64()
+            .unwrap_or_else(|| panic!("no number {key} in {of}"))
+    };
+    for key in ["machine", "model"] {
+        assert!(!bench[key].as_str().unwrap().is_empty());
+    }
+    assert_eq!(bench["threads"], 1);
+    let stages = bench["stages"].as_array().unwrap();
+    let names: Vec<&str> = stages.iter().map(|s| s["name"].as_str().unwrap()).collect();
+    assert_eq!(
+        names,
+        [
+            "preprocess",
+            "encoder",
+            "energy",
+            "histogram",
+            "detector",
+            "can"
+        ]
+    );
+    for stage in stages {
+        assert!(number(stage, "median_ms") <= number(stage, "p99_ms"));
+    }
+    for stage in &stages[2..] {
+        assert_eq!(stage["allocations"], 0, "after the encoder: {stage}");
+    }
+    assert!(number(&bench, "encoder_ms") > 0.0);
+    assert!(number(&bench, "encoder_ms") <= number(&bench, "frame_ms"));
+    assert!(number(&bench, "start_ms") >= number(&bench, "encoder_ms"));
+    assert!(number(&bench, "rss_mib") > 1.0 && number(&bench, "binary_mib") > 1.0);
+}
