@@ -558,13 +558,16 @@ fn references_that_are_broken_are_refused_by_name() {
         ("list.json", "[1, 2]".to_owned(), "format null"),
         (
             "old.json",
-            built_in.replacen("\"version\": 1", "\"version\": 99", 1),
+            built_in.replacen("\"version\": 2", "\"version\": 99", 1),
             "version 99",
         ),
         (
-            "counts.json",
-            changed(|r| r["taps"][0]["counts"] = serde_json::json!([1, 2])),
-            "2 counts",
+            "whitening.json",
+            changed(|r| {
+                let norm = &mut r["components"][0]["taps"][0]["nominal"]["channels"];
+                norm["whitening"] = serde_json::json!([1, 2]);
+            }),
+            "2 whitening weights",
         ),
         (
             "other.json",

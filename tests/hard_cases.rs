@@ -148,7 +148,7 @@ fn a_crop_may_end_at_the_edge_of_the_picture() {
         ];
         let csv = gapwatch_in(folder.path(), &args).ok();
         assert!(
-            csv.lines().skip(1).all(|line| line.ends_with(",2,2,")),
+            csv.lines().skip(1).all(|line| line.contains(",2,2,")),
             "{crop}: {csv}"
         );
     }

@@ -74,7 +74,7 @@ fn a_report_is_one_file_that_asks_for_nothing() {
         assert!(!page.contains(asks), "{asks}");
     }
     assert!(page.contains("default-src 'none'"));
-    assert!(page.contains("scene:sim?seed=7&amp;seconds=3") && page.contains("log-energy-js"));
+    assert!(page.contains("scene:sim?seed=7&amp;seconds=3") && page.contains("mahalanobis"));
     assert_eq!(files(folder.path()).len(), 2);
 }
 
