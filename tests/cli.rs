@@ -151,7 +151,7 @@ fn wrong_use_is_met_with_one_line_and_exit_code_2_and_leaves_nothing_behind() {
                 "--out",
                 "r.json",
             ],
-            "at most 100000",
+            "at most 600000",
         ),
         (
             vec![

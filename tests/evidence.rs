@@ -13,7 +13,7 @@ use serde_json::Value;
 
 /// Noise that comes and goes: an alarm every 4 s.
 fn flicker(seconds: u32) -> String {
-    let noise = (1..seconds - 2).step_by(4);
+    let noise = (1..seconds - 2).step_by(8);
     let noise = noise.map(|s| format!("&condition=noise:5@{s}-{}", s + 2));
     format!(
         "scene:sim?seed=7&seconds={seconds}&size=160x80{}",
@@ -55,7 +55,7 @@ fn whole_events(folder: &Path) -> Vec<String> {
 #[test]
 fn a_drive_leaves_events_within_the_quota_and_the_report_shows_them() {
     let folder = tempfile::tempdir().unwrap();
-    let drive = flicker(16);
+    let drive = flicker(32);
     let replay = [
         "replay",
         &drive,
