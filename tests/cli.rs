@@ -195,6 +195,7 @@ fn wrong_use_is_met_with_one_line_and_exit_code_2_and_leaves_nothing_behind() {
             "not-a-model.onnx",
         ),
         (vec!["evaluate", "--quick", "--scenes", "3"], "--quick"),
+        (vec!["evaluate", "--format", "csv"], "--only lane_iou"),
         (
             vec![
                 "evaluate",
@@ -387,7 +388,7 @@ fn inspect_writes_a_sheet_a_frame_and_the_numbers_behind_them() {
 fn evaluate_judges_every_look_condition_and_severity_with_counts_and_intervals() {
     let folder = empty();
     let args = [
-        "evaluate", "--scenes", "2", "--out", "e.json", "--format", "json",
+        "evaluate", "--only", "lane_iou", "--scenes", "2", "--out", "e.json", "--format", "json",
     ];
     let out = gapwatch_in(folder.path(), &args).ok();
     assert_eq!(
@@ -405,7 +406,9 @@ fn evaluate_judges_every_look_condition_and_severity_with_counts_and_intervals()
     }
     let csv = gapwatch_in(
         folder.path(),
-        &["evaluate", "--scenes", "2", "--format", "csv"],
+        &[
+            "evaluate", "--only", "lane_iou", "--scenes", "2", "--format", "csv",
+        ],
     )
     .ok();
     assert_eq!(csv.lines().count(), rows.len() + 1);

@@ -50,6 +50,9 @@ struct Row<T> {
 }
 
 pub fn run(args: &EvaluateArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
+    if args.format == Format::Csv && args.only != Some(EvaluateKey::LaneIou) {
+        bail!("--format csv is for --only lane_iou; wanted table or json");
+    }
     let wanted = |key: EvaluateKey| args.only.is_none_or(|only| only == key);
     let built_in = ModelSpec::new(None, ModelOptions::default())?;
     let built_in = Encoder::load(&built_in)?.sha256().to_owned();
@@ -99,10 +102,7 @@ pub fn run(args: &EvaluateArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
     }
     match args.format {
         Format::Json => out.write_all(json.as_bytes())?,
-        Format::Csv => match (&results.lane_iou, args.only) {
-            (Some(rows), Some(EvaluateKey::LaneIou)) => csv(rows, out)?,
-            _ => bail!("--format csv is for --only lane_iou; wanted table or json"),
-        },
+        Format::Csv => csv(results.lane_iou.as_deref().unwrap_or_default(), out)?,
         Format::Table => {
             if let Some(rows) = &results.lane_iou {
                 table(rows, out)?;
