@@ -5,7 +5,7 @@ use serde::Serialize;
 use crate::attention::EnergyMap;
 use crate::calibration::{PaperBinning, TapHistogram, counts_of, median};
 use crate::energies::ChannelMeans;
-use crate::gap::moments::{self, ChannelNorm, Moments, channel_levels};
+use crate::gap::moments::{self, ChannelNorm, Moments};
 use crate::gap::{Divergence, Metric, frechet};
 use crate::histogram::{Binning, HistogramSum};
 use crate::survey::Survey;
@@ -229,14 +229,7 @@ impl<'a> Against<'a> {
 }
 
 fn moments_of(images: &[&ChannelMeans], epsilon: f64) -> Moments {
-    let channels = images.first().map_or(0, |image| image.energy.len());
-    let mut moments = Moments::new(channels);
-    let mut levels = vec![0; channels];
-    for image in images {
-        channel_levels(&image.energy, epsilon, &mut levels);
-        moments.add(&levels);
-    }
-    moments
+    Moments::of(images.iter().map(|image| image.energy.as_slice()), epsilon)
 }
 
 /// Compares sets with a reference by several metrics.

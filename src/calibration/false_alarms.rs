@@ -21,7 +21,7 @@ const TAIL_MIN: usize = 5;
 /// Without enough drives for a tail: margin on the factor at which none of them enters `Gap`.
 const FEW_DRIVES_MARGIN: f64 = 1.5;
 /// Hours times rate that demonstrate a rate when nothing happens in them (rule of three).
-const DEMONSTRATED: f64 = 3.0;
+pub const DEMONSTRATED: f64 = 3.0;
 
 /// Rates, entries an hour, whose factors a reference keeps beside the one asked for.
 const RATES_PER_HOUR: [f64; 3] = [10.0, 1.0, 0.1];

@@ -3,7 +3,7 @@
 use serde::Serialize;
 
 use super::watched::{Script, Shown};
-use crate::calibration::{DriveScores, poisson_interval};
+use crate::calibration::{DEMONSTRATED, DriveScores, poisson_interval};
 use crate::scene::Look;
 
 /// Frames a second of the drives.
@@ -12,8 +12,6 @@ const FPS: f64 = 2.0;
 pub const DRIVE_S: f64 = 300.0;
 /// First seed of the drives.
 const FIRST_SEED: u64 = 100_001;
-/// Hours times rate that demonstrate a rate (rule of three).
-const DEMONSTRATED: f64 = 3.0;
 
 /// The nominal drive of a number.
 pub fn script(nominal: Look, number: u64, seconds: f64) -> Script {

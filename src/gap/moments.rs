@@ -53,6 +53,19 @@ impl Moments {
         }
     }
 
+    /// The moments of frames' channel energies, each `[channels]`.
+    pub fn of<'a>(energies: impl Iterator<Item = &'a [f64]>, epsilon: f64) -> Self {
+        let mut energies = energies.peekable();
+        let channels = energies.peek().map_or(0, |frame| frame.len());
+        let mut moments = Self::new(channels);
+        let mut levels = vec![0; channels];
+        for frame in energies {
+            channel_levels(frame, epsilon, &mut levels);
+            moments.add(&levels);
+        }
+        moments
+    }
+
     /// Frames summed.
     pub fn frames(&self) -> u64 {
         self.frames
