@@ -136,6 +136,10 @@ pub struct CalibrateArgs {
     /// Nominal drives that set and judge the rate of false alarms
     #[arg(long, value_name = "SOURCE", num_args = 1..)]
     pub held_out: Vec<String>,
+    /// For --metric lane-risk: rendered drives from which the model's losses are learnt, each as it is and under every
+    /// condition
+    #[arg(long, value_name = "scene:…", num_args = 1..)]
+    pub labelled: Vec<String>,
     /// Entries into Gap an hour of nominal driving
     #[arg(long, value_name = "R", default_value_t = 1.0, value_parser = rate)]
     pub false_alarms_per_hour: f64,
@@ -387,7 +391,7 @@ fn rate(text: &str) -> Result<f64, String> {
 
 fn metrics(text: &str) -> Result<Metrics, String> {
     if text == "all" {
-        Ok(Metrics(Metric::all()))
+        Ok(Metrics(Metric::of_sets()))
     } else {
         text.parse().map(|metric| Metrics(vec![metric]))
     }

@@ -1,17 +1,21 @@
 //! Surveys of nominal sources → reference: what is nominal, medians, and thresholds for a wanted rate of false alarms.
 
+use std::ops::Range;
 use std::time::Duration;
 
+use crate::alarm::Reason;
 use crate::attention::{EnergyMap, Upsampler};
 use crate::detector::Detector;
-use crate::energies::ChannelMeans;
-use crate::gap::moments::{self, ChannelNorm, Moments};
+use crate::energies::BlockMeans;
+use crate::gap::lane_risk::{Labelled, LaneRisk};
+use crate::gap::moments::{self, EnergyNorm, Moments, energy_levels};
 use crate::gap::{Metric, PAPER_FIRST_LEVEL, PAPER_LEVELS, PAPER_TEMPERATURE};
 use crate::histogram::{Binning, HistogramSum};
+use crate::intake::Intake;
 use crate::reference::{
     Component, FalseAlarms, Nominal, SPREAD_MIN, ScalePoint, SourceUse, TapReference,
 };
-use crate::survey::Survey;
+use crate::survey::{Survey, SurveyFrame};
 use crate::undefined::Undefined;
 
 mod false_alarms;
@@ -140,7 +144,9 @@ impl TapHistogram {
                     edges: equal_mass_edges(maps, epsilon),
                 }
             }
-            Metric::Frechet | Metric::Mahalanobis => return Err(Undefined::NoScore),
+            Metric::Frechet | Metric::Mahalanobis | Metric::LaneRisk => {
+                return Err(Undefined::NoScore);
+            }
         };
         let mut sum = HistogramSum::new(binning.bins());
         for map in maps {
@@ -246,23 +252,33 @@ fn split(surveys: &[Survey]) -> Vec<Split<'_>> {
         .collect()
 }
 
+/// A frame with lane labels: what the encoder saw, and what the lane model lost.
+#[derive(Clone, Debug)]
+pub struct LabelledMeans {
+    /// Means of each block.
+    pub means: Vec<BlockMeans>,
+    /// 1 - IoU / IoU of the same frame in plain day, 0 to 1.
+    pub loss: f64,
+}
+
 /// Makes the nominal domains of a reference and the thresholds that keep the wanted rate of false alarms.
 ///
 /// Every second drive of each domain makes histograms or moments, the others scale the gaps of windows. The rate is set on
 /// every second drive of `held_out` and judged on the others; without any, the drives that scale the gaps serve for both,
-/// and the reference says so.
+/// and the reference says so. `labelled` frames are for the metric `lane-risk` alone.
 ///
 /// # Errors
 /// When a frame cannot be judged or too few are at hand.
 pub fn calibrate(
     domains: &[Domain<'_>],
     held_out: &[Survey],
+    labelled: &[LabelledMeans],
     taps: &[String],
     wanted: Wanted,
 ) -> Result<Calibrated, CalibrationError> {
     let mut sources = Vec::new();
-    let mut components = Vec::new();
-    let mut scaling: Vec<Track<'_>> = Vec::new();
+    let mut components: Vec<Component> = Vec::new();
+    let mut scaling: Vec<Part<'_>> = Vec::new();
     let mut simulation: Option<Vec<Moments>> = None;
     for domain in domains {
         let splits = split(domain.drives);
@@ -272,63 +288,79 @@ pub fn calibrate(
             fitted: split.fitted as u64,
             held_out: (split.survey.frames.len() - split.fitted) as u64,
         }));
-        let (mut fitted, mut scaled) = (Vec::new(), Vec::new());
-        for split in &splits {
-            let track = Track::of(split.survey, wanted.metric)?;
-            let (fit, scale) = track.split_at(split.fitted);
-            fitted.extend(fit.frames);
-            if !scale.frames.is_empty() {
-                scaled.push(scale);
+        let mut fitted = Vec::new();
+        let mut scaled = Vec::new();
+        for Split { survey, fitted: n } in &splits {
+            fitted.extend(Part::of(survey, 0..*n)?.frames);
+            let rest = Part::of(survey, *n..survey.frames.len())?;
+            if !rest.frames.is_empty() {
+                scaled.push(rest);
             }
         }
-        let found: usize = scaled.iter().map(|track| track.frames.len()).sum();
+        let found: usize = scaled.iter().map(|part| part.frames.len()).sum();
         if found < HELD_OUT_MIN {
             return Err(CalibrationError::TooFew(Undefined::TooFewImages {
                 found,
                 wanted: HELD_OUT_MIN,
             }));
         }
+        let common_size = domain.drives[0].common_size;
+        let moments = match wanted.metric.divergence() {
+            Some(_) => Vec::new(),
+            None => fitted_moments(&fitted, taps.len(), components.first()),
+        };
         let drives = splits.iter().filter(|split| split.fitted > 0).count();
-        let moments = fitted_moments(&fitted, taps.len(), components.first());
-        let component = taps
+        let nominal = taps.iter().enumerate().map(|(index, tap)| {
+            let of = Fitted {
+                index,
+                frames: &fitted,
+                common_size,
+                moments: moments.get(index),
+                wider: simulation.as_ref().map(|all| (&all[index], drives)),
+                simulation: components.first(),
+                labelled,
+            };
+            of.tap_reference(tap, wanted.metric)
+        });
+        let mut component = Component {
+            name: domain.name.clone(),
+            taps: nominal.collect::<Result<_, _>>()?,
+        };
+        let tracks = scaled
             .iter()
-            .enumerate()
-            .map(|(index, tap)| {
-                let wider = simulation.as_ref().map(|all| (&all[index], drives));
-                let nominal = TapNominal {
-                    index,
-                    fitted: &fitted,
-                    moments: moments.get(index),
-                    wider,
-                    simulation: components.first(),
-                };
-                tap_reference(&nominal, &scaled, tap, wanted)
-            })
+            .map(|part| part.track(wanted.metric, std::slice::from_ref(&component)))
             .collect::<Result<Vec<_>, _>>()?;
+        let mut from = 0;
+        for tap in &mut component.taps {
+            let columns = from..from + tap.nominal.len();
+            from = columns.end;
+            let points = WINDOW_FRAMES.into_iter().filter_map(|frames| {
+                scale_point(&tracks, columns.clone(), frames, &tap.nominal, wanted).transpose()
+            });
+            tap.scale = points
+                .collect::<Result<_, _>>()
+                .map_err(|why| wrong(&tap.tap, wanted.metric, why))?;
+        }
         if simulation.is_none() && !moments.is_empty() {
             simulation = Some(moments);
         }
-        components.push(Component {
-            name: domain.name.clone(),
-            taps: component,
-        });
+        components.push(component);
         scaling.extend(scaled);
     }
     let optimistic = held_out.is_empty();
-    let held_out: Vec<Track<'_>> = held_out
+    let held_out = held_out
         .iter()
-        .map(|survey| Track::of(survey, wanted.metric))
-        .collect::<Result<_, _>>()?;
-    sources.extend(held_out.iter().map(|track| SourceUse {
-        source: track.source.to_owned(),
-        frames: track.frames.len() as u64,
+        .map(|survey| Part::of(survey, 0..survey.frames.len()))
+        .collect::<Result<Vec<_>, _>>()?;
+    sources.extend(held_out.iter().map(|part| SourceUse {
+        source: part.survey.source.clone(),
+        frames: part.frames.len() as u64,
         fitted: 0,
-        held_out: track.frames.len() as u64,
+        held_out: part.frames.len() as u64,
     }));
-    let tracks = if optimistic { &scaling } else { &held_out };
-    let drives = tracks
+    let drives = if optimistic { &scaling } else { &held_out }
         .iter()
-        .map(|track| track.scores(wanted, &components))
+        .map(|part| part.scores(wanted, &components))
         .collect::<Result<Vec<_>, _>>()?;
     let false_alarms = false_alarms::calibrated(&drives, wanted.false_alarms_per_hour, optimistic);
     for tap in components
@@ -346,81 +378,65 @@ pub fn calibrate(
     })
 }
 
-/// What the encoder saw of one frame, as a reference takes it.
-struct Seen<'a> {
-    at: Duration,
-    /// By tap, at the common size; empty of a metric that needs channels alone.
-    common: Vec<EnergyMap>,
-    peaks: &'a [f64],
-    channels: &'a [ChannelMeans],
+fn wrong(tap: &str, metric: Metric, why: Undefined) -> CalibrationError {
+    CalibrationError::Comparison {
+        tap: tap.to_owned(),
+        metric,
+        why,
+    }
 }
 
-/// The frames of one drive.
-struct Track<'a> {
-    source: &'a str,
-    frames: Vec<Seen<'a>>,
+/// Frames of one drive, all of which can be judged.
+struct Part<'a> {
+    survey: &'a Survey,
+    /// Number of the first frame in the drive.
+    first: usize,
+    frames: Vec<&'a SurveyFrame>,
 }
 
-impl<'a> Track<'a> {
-    fn of(survey: &'a Survey, metric: Metric) -> Result<Self, CalibrationError> {
-        let needs_maps = metric.divergence().is_some();
-        let mut upsamplers: Vec<Upsampler> = Vec::new();
-        let frames = survey.frames.iter().enumerate().map(|(index, frame)| {
-            let frame = frame.as_ref().map_err(|why| CalibrationError::Frame {
-                source_name: survey.source.clone(),
-                frame: index,
-                why: why.clone(),
-            })?;
-            let mut common = Vec::new();
-            if needs_maps {
-                if upsamplers.is_empty() {
-                    let sizes = frame.maps.iter().map(|map| (map.width, map.height));
-                    upsamplers = sizes
-                        .map(|from| Upsampler::new(from, survey.common_size))
-                        .collect();
-                }
-                for (map, upsampler) in frame.maps.iter().zip(&upsamplers) {
-                    let mut resampled = EnergyMap::default();
-                    upsampler.resample(map, &mut resampled);
-                    common.push(resampled);
-                }
-            }
-            Ok(Seen {
-                at: frame.at,
-                common,
-                peaks: &frame.peaks,
-                channels: &frame.channels,
-            })
-        });
+impl<'a> Part<'a> {
+    fn of(survey: &'a Survey, range: Range<usize>) -> Result<Self, CalibrationError> {
+        let first = range.start;
+        let frames = survey.frames[range]
+            .iter()
+            .enumerate()
+            .map(|(index, frame)| {
+                frame.as_ref().map_err(|why| CalibrationError::Frame {
+                    source_name: survey.source.clone(),
+                    frame: first + index,
+                    why: why.clone(),
+                })
+            });
         Ok(Self {
-            source: &survey.source,
-            frames: frames.collect::<Result<_, CalibrationError>>()?,
+            survey,
+            first,
+            frames: frames.collect::<Result<_, _>>()?,
         })
     }
 
-    fn split_at(mut self, at: usize) -> (Self, Self) {
-        let rest = self.frames.split_off(at);
-        let source = self.source;
-        (
-            self,
-            Self {
-                source,
-                frames: rest,
-            },
-        )
+    fn wrong(&self, index: usize, why: Undefined) -> CalibrationError {
+        CalibrationError::Frame {
+            source_name: self.survey.source.clone(),
+            frame: self.first + index,
+            why,
+        }
     }
 
-    /// Windows one after the other, each the frames within `window_s` of its first.
-    fn windows(&self, window_s: f64) -> impl Iterator<Item = &[Seen<'a>]> {
-        let mut rest = self.frames.as_slice();
-        std::iter::from_fn(move || {
-            let first = rest.first()?.at;
-            let end = rest
-                .iter()
-                .position(|seen| (seen.at.saturating_sub(first)).as_secs_f64() >= window_s);
-            let (window, later) = rest.split_at(end.unwrap_or(rest.len()));
-            rest = later;
-            Some(window)
+    /// What the domains take of each frame.
+    fn track(&self, metric: Metric, components: &[Component]) -> Result<Track, CalibrationError> {
+        let width = Component::taken_len(components);
+        let mut intake = Intake::new(metric, components[0].taps.len(), self.survey.common_size);
+        let mut taken = vec![0; width * self.frames.len()];
+        let rows = taken.chunks_exact_mut(width.max(1));
+        for (index, (frame, row)) in self.frames.iter().zip(rows).enumerate() {
+            intake
+                .take(&frame.maps, &frame.means, components, row)
+                .map_err(|why| self.wrong(index, why))?;
+        }
+        Ok(Track {
+            at: self.survey.times[self.first..][..self.frames.len()].to_vec(),
+            width,
+            taken,
         })
     }
 
@@ -430,152 +446,217 @@ impl<'a> Track<'a> {
         wanted: Wanted,
         components: &[Component],
     ) -> Result<DriveScores, CalibrationError> {
+        let track = self.track(wanted.metric, components)?;
         let mut detector = Detector::of(wanted.metric, components.to_vec(), wanted.window_s);
-        let mut taken = vec![0; detector.taken_len()];
         let mut drive = DriveScores::default();
-        for (index, seen) in self.frames.iter().enumerate() {
-            let wrong = |why| CalibrationError::Frame {
-                source_name: self.source.to_owned(),
-                frame: index,
-                why,
-            };
-            let mut left = taken.as_mut_slice();
-            for component in components {
-                for (tap_index, tap) in component.taps.iter().enumerate() {
-                    let (own, rest) = left.split_at_mut(tap.nominal.len());
-                    seen.take(tap_index, &tap.nominal, own).map_err(wrong)?;
-                    left = rest;
-                }
-            }
-            let evidence = detector.observe(seen.at, &taken).map_err(wrong)?;
-            drive.add(seen.at, evidence.score, evidence.fill >= 1.0);
+        for (index, (&at, taken)) in track.at.iter().zip(track.rows(0..track.len())).enumerate() {
+            let evidence = detector
+                .observe(at, taken)
+                .map_err(|why| self.wrong(index, why))?;
+            drive.add(at, evidence.score, evidence.fill >= 1.0);
         }
         Ok(drive)
     }
 }
 
-impl Seen<'_> {
-    fn take(&self, tap: usize, nominal: &Nominal, taken: &mut [u32]) -> Result<(), Undefined> {
-        let nothing = EnergyMap::default();
-        nominal.take(
-            self.common.get(tap).unwrap_or(&nothing),
-            &self.channels[tap],
-            taken,
-        )
+/// A survey through the detector from its reset: the score of each frame, or why it has none.
+pub fn drive_scores(
+    survey: &Survey,
+    metric: Metric,
+    window_s: f64,
+    components: &[Component],
+) -> DriveScores {
+    let mut intake = Intake::new(metric, components[0].taps.len(), survey.common_size);
+    let mut detector = Detector::of(metric, components.to_vec(), window_s);
+    let mut taken = vec![0; detector.taken_len()];
+    let mut drive = DriveScores::default();
+    for (&at, frame) in survey.times.iter().zip(&survey.frames) {
+        let evidence = frame.as_ref().map_err(Undefined::clone).and_then(|frame| {
+            intake.take(&frame.maps, &frame.means, components, &mut taken)?;
+            detector.observe(at, &taken)
+        });
+        match evidence {
+            Ok(evidence) => drive.add(at, evidence.score, evidence.fill >= 1.0),
+            Err(why) => drive.add_unjudged(at, Reason::from(&why)),
+        }
+    }
+    drive
+}
+
+/// What was taken of the frames of a drive.
+struct Track {
+    at: Vec<Duration>,
+    /// Numbers taken of a frame.
+    width: usize,
+    /// `[frames, width]`
+    taken: Vec<u32>,
+}
+
+impl Track {
+    fn len(&self) -> usize {
+        self.at.len()
+    }
+
+    fn rows(&self, frames: Range<usize>) -> impl Iterator<Item = &[u32]> {
+        self.taken[frames.start * self.width..frames.end * self.width]
+            .chunks_exact(self.width.max(1))
+    }
+
+    /// Windows one after the other, each the frames within `window_s` of its first.
+    fn windows(&self, window_s: f64) -> impl Iterator<Item = Range<usize>> {
+        let mut next = 0;
+        std::iter::from_fn(move || {
+            let from = next;
+            let first = *self.at.get(from)?;
+            let within = |at: &Duration| at.saturating_sub(first).as_secs_f64() < window_s;
+            next = from
+                + self.at[from..]
+                    .iter()
+                    .take_while(|at| within(at))
+                    .count()
+                    .max(1);
+            Some(from..next)
+        })
     }
 }
 
 /// What the nominal values of one tap are made of.
-struct TapNominal<'a> {
+struct Fitted<'a> {
     index: usize,
-    fitted: &'a [Seen<'a>],
-    /// Of the channels, for a metric on them.
+    frames: &'a [&'a SurveyFrame],
+    common_size: (usize, usize),
+    /// Of the energies, for a metric on them.
     moments: Option<&'a Moments>,
     /// The simulation's moments and the own drives, of an accepted domain.
     wider: Option<(&'a Moments, usize)>,
     /// The simulation's component, of an accepted domain.
     simulation: Option<&'a Component>,
+    labelled: &'a [LabelledMeans],
 }
 
-/// The channels' moments of all taps; with the epsilon of the simulation when there is one, or none for a metric on maps.
+/// The energies' moments of all taps; with the epsilon of the simulation when there is one.
 fn fitted_moments(
-    fitted: &[Seen<'_>],
+    fitted: &[&SurveyFrame],
     taps: usize,
     simulation: Option<&Component>,
 ) -> Vec<Moments> {
-    if fitted.iter().any(|seen| !seen.common.is_empty()) {
-        return Vec::new();
-    }
     (0..taps)
         .map(|tap| {
             let epsilon = epsilon_of(fitted, tap, simulation);
-            let energies = fitted
-                .iter()
-                .map(|seen| seen.channels[tap].energy.as_slice());
+            let energies = fitted.iter().map(|seen| seen.means[tap].energy.as_slice());
             Moments::of(energies, epsilon)
         })
         .collect()
 }
 
-fn epsilon_of(fitted: &[Seen<'_>], tap: usize, simulation: Option<&Component>) -> f64 {
-    if let Some(Nominal::Channels(norm)) = simulation.map(|of| &of.taps[tap].nominal) {
+fn epsilon_of(fitted: &[&SurveyFrame], tap: usize, simulation: Option<&Component>) -> f64 {
+    if let Some(Nominal::Energies(norm)) = simulation.map(|of| &of.taps[tap].nominal) {
         return norm.epsilon;
     }
     moments::EPSILON_SHARE
         * median(fitted.iter().map(|seen| seen.peaks[tap]).collect()).unwrap_or(1.0)
 }
 
-fn tap_reference(
-    of: &TapNominal<'_>,
-    scaled: &[Track<'_>],
-    tap: &str,
-    wanted: Wanted,
-) -> Result<TapReference, CalibrationError> {
-    let metric = wanted.metric;
-    let wrong = |why| CalibrationError::Comparison {
-        tap: tap.to_owned(),
-        metric,
-        why,
-    };
-    let (median_peak_energy, images, nominal) = match of.moments {
-        Some(moments) => {
-            let peaks = of.fitted.iter().map(|seen| seen.peaks[of.index]).collect();
-            let epsilon = epsilon_of(of.fitted, of.index, of.simulation);
-            let norm = ChannelNorm::fit(epsilon, moments, of.wider).map_err(wrong)?;
-            let peak = median(peaks).ok_or(wrong(Undefined::NoScore))?;
-            (peak, moments.frames(), Nominal::Channels(norm))
+impl Fitted<'_> {
+    /// What is nominal of the tap; its gaps are not scaled yet.
+    fn tap_reference(&self, tap: &str, metric: Metric) -> Result<TapReference, CalibrationError> {
+        let wrong = |why| wrong(tap, metric, why);
+        let (median_peak_energy, images, nominal) = match self.moments {
+            Some(moments) => {
+                let peaks = self
+                    .frames
+                    .iter()
+                    .map(|seen| seen.peaks[self.index])
+                    .collect();
+                let peak = median(peaks).ok_or(wrong(Undefined::NoScore))?;
+                let nominal = self.energies(moments, metric).map_err(wrong)?;
+                (peak, moments.frames(), nominal)
+            }
+            None => {
+                let maps = self.common_maps();
+                let maps: Vec<&EnergyMap> = maps.iter().collect();
+                let fitted =
+                    TapHistogram::fit(&maps, metric, PaperBinning::PUBLISHED).map_err(wrong)?;
+                let nominal = Nominal::Histogram {
+                    binning: fitted.binning,
+                    counts: fitted.sum.counts,
+                };
+                (fitted.median_peak_energy, fitted.sum.images, nominal)
+            }
+        };
+        Ok(TapReference {
+            tap: tap.to_owned(),
+            median_peak_energy,
+            images,
+            nominal,
+            scale: Vec::new(),
+        })
+    }
+
+    fn energies(&self, moments: &Moments, metric: Metric) -> Result<Nominal, Undefined> {
+        let epsilon = epsilon_of(self.frames, self.index, self.simulation);
+        if metric != Metric::LaneRisk {
+            return EnergyNorm::fit(epsilon, moments, self.wider).map(Nominal::Energies);
         }
-        None => {
-            let maps: Vec<&EnergyMap> = of
-                .fitted
-                .iter()
-                .map(|seen| &seen.common[of.index])
-                .collect();
-            let fitted =
-                TapHistogram::fit(&maps, metric, PaperBinning::PUBLISHED).map_err(wrong)?;
-            let nominal = Nominal::Histogram {
-                binning: fitted.binning,
-                counts: fitted.sum.counts,
-            };
-            (fitted.median_peak_energy, fitted.sum.images, nominal)
-        }
-    };
-    let scale: Vec<ScalePoint> = WINDOW_FRAMES
-        .into_iter()
-        .filter_map(|frames| scale_point(scaled, frames, of.index, &nominal, wanted).transpose())
-        .collect::<Result<_, _>>()
-        .map_err(wrong)?;
-    Ok(TapReference {
-        tap: tap.to_owned(),
-        median_peak_energy,
-        images,
-        nominal,
-        scale,
-    })
+        let levels: Vec<Vec<u32>> = self
+            .labelled
+            .iter()
+            .map(|frame| {
+                let energy = &frame.means[self.index].energy;
+                let mut levels = vec![0; energy.len()];
+                energy_levels(energy, epsilon, &mut levels);
+                levels
+            })
+            .collect();
+        let labelled: Vec<Labelled<'_>> = levels
+            .iter()
+            .zip(self.labelled)
+            .map(|(levels, frame)| Labelled {
+                levels,
+                loss: frame.loss,
+            })
+            .collect();
+        LaneRisk::fit(epsilon, moments, &labelled).map(Nominal::LaneRisk)
+    }
+
+    fn common_maps(&self) -> Vec<EnergyMap> {
+        let maps = self.frames.iter().map(|frame| &frame.maps[self.index]);
+        let mut upsampler = None;
+        maps.map(|map| {
+            let upsampler = upsampler
+                .get_or_insert_with(|| Upsampler::new((map.width, map.height), self.common_size));
+            let mut common = EnergyMap::default();
+            upsampler.resample(map, &mut common);
+            common
+        })
+        .collect()
+    }
 }
 
 /// Median and threshold over windows of which `frames` frames are taken, evenly spread; `None` without enough windows.
 fn scale_point(
-    tracks: &[Track<'_>],
+    tracks: &[Track],
+    columns: Range<usize>,
     frames: usize,
-    tap: usize,
     nominal: &Nominal,
     wanted: Wanted,
 ) -> Result<Option<ScalePoint>, Undefined> {
     let mut gaps = Vec::new();
-    let mut taken = vec![0; nominal.len()];
-    let windows = tracks
-        .iter()
-        .flat_map(|track| track.windows(wanted.window_s));
-    for window in windows.filter(|window| window.len() >= frames) {
-        let mut sums = vec![0_u64; nominal.len()];
-        for index in 0..frames {
-            window[index * window.len() / frames].take(tap, nominal, &mut taken)?;
-            sums.iter_mut()
-                .zip(&taken)
-                .for_each(|(sum, &value)| *sum += u64::from(value));
+    for track in tracks {
+        for window in track.windows(wanted.window_s) {
+            if window.len() < frames {
+                continue;
+            }
+            let rows: Vec<&[u32]> = track.rows(window).collect();
+            let mut sums = vec![0_u64; columns.len()];
+            for index in 0..frames {
+                let row = &rows[index * rows.len() / frames][columns.clone()];
+                sums.iter_mut()
+                    .zip(row)
+                    .for_each(|(sum, &value)| *sum += u64::from(value));
+            }
+            gaps.push(nominal.compare(wanted.metric, &sums, frames)?.gap);
         }
-        gaps.push(nominal.compare(wanted.metric, &sums, frames)?.gap);
     }
     let windows = gaps.len();
     gaps.sort_by(f64::total_cmp);

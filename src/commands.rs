@@ -49,7 +49,7 @@ pub fn run(command: Command, out: &mut dyn Write) -> anyhow::Result<u8> {
 const fn frames_max(keep: Keep) -> u64 {
     match keep {
         Keep::Maps => 100_000,
-        Keep::Channels => 600_000,
+        Keep::Means => 600_000,
     }
 }
 

@@ -4,8 +4,8 @@ use serde::Serialize;
 
 use crate::attention::EnergyMap;
 use crate::calibration::{PaperBinning, TapHistogram, counts_of, median};
-use crate::energies::ChannelMeans;
-use crate::gap::moments::{self, ChannelNorm, Moments};
+use crate::energies::BlockMeans;
+use crate::gap::moments::{self, EnergyNorm, Moments};
 use crate::gap::{Divergence, Metric, frechet};
 use crate::histogram::{Binning, HistogramSum};
 use crate::survey::Survey;
@@ -97,11 +97,11 @@ impl ImageSet {
             .flat_map(move |survey| survey.common_maps(tap))
     }
 
-    /// Channel means of one tap, image by image.
-    fn channels(&self, tap: usize) -> impl Iterator<Item = Result<&ChannelMeans, Undefined>> {
+    /// Means of one tap, image by image.
+    fn means(&self, tap: usize) -> impl Iterator<Item = Result<&BlockMeans, Undefined>> {
         let frames = self.surveys.iter().flat_map(|survey| &survey.frames);
         frames.map(move |frame| match frame {
-            Ok(seen) => Ok(&seen.channels[tap]),
+            Ok(seen) => Ok(&seen.means[tap]),
             Err(why) => Err(why.clone()),
         })
     }
@@ -145,12 +145,12 @@ impl ImageSet {
         (sum, reason)
     }
 
-    /// Channel means of the images that can be judged, and why the first of the others cannot.
-    fn judged_channels(&self, tap: usize) -> (Vec<&ChannelMeans>, Option<Undefined>) {
+    /// Means of the images that can be judged, and why the first of the others cannot.
+    fn judged_means(&self, tap: usize) -> (Vec<&BlockMeans>, Option<Undefined>) {
         let (mut judged, mut reason) = (Vec::new(), None);
-        for image in self.channels(tap) {
+        for image in self.means(tap) {
             match image {
-                Ok(channels) => judged.push(channels),
+                Ok(means) => judged.push(means),
                 Err(why) => {
                     reason.get_or_insert(why);
                 }
@@ -163,8 +163,8 @@ impl ImageSet {
 /// What a metric holds sets against: the reference set, one tap.
 enum Against<'a> {
     Histogram(Divergence, TapHistogram),
-    Channels(Vec<&'a ChannelMeans>),
-    Norm(ChannelNorm),
+    Means(Vec<&'a BlockMeans>),
+    Norm(EnergyNorm),
 }
 
 impl<'a> Against<'a> {
@@ -175,14 +175,14 @@ impl<'a> Against<'a> {
         paper: PaperBinning,
     ) -> Result<Self, ComparisonError> {
         let Some(divergence) = metric.divergence() else {
-            let channels = reference.every(reference.channels(tap))?;
+            let means = reference.every(reference.means(tap))?;
             if metric == Metric::Frechet {
-                return Ok(Self::Channels(channels));
+                return Ok(Self::Means(means));
             }
             let maps = reference.every(reference.maps(tap))?;
             let peaks = maps.iter().map(|map| map.range().1).collect();
             let epsilon = median(peaks).unwrap_or(1.0) * moments::EPSILON_SHARE;
-            let norm = ChannelNorm::fit(epsilon, &moments_of(&channels, epsilon), None);
+            let norm = EnergyNorm::fit(epsilon, &moments_of(&means, epsilon), None);
             return norm.map(Self::Norm).map_err(|why| reference.wrong(why));
         };
         let maps = reference.every(reference.maps(tap))?;
@@ -208,12 +208,12 @@ impl<'a> Against<'a> {
             };
             return (value, sum.images, Some(sum));
         }
-        let (judged, reason) = set.judged_channels(tap);
+        let (judged, reason) = set.judged_means(tap);
         let images = judged.len() as u64;
         let value = match (self, reason) {
             (_, Some(reason)) if judged.is_empty() => Err(reason),
-            (Self::Channels(reference), _) => {
-                let activations = |of: &[&ChannelMeans]| -> Vec<Vec<f64>> {
+            (Self::Means(reference), _) => {
+                let activations = |of: &[&BlockMeans]| -> Vec<Vec<f64>> {
                     of.iter().map(|image| image.activation.clone()).collect()
                 };
                 frechet::distance(&activations(reference), &activations(&judged))
@@ -228,7 +228,7 @@ impl<'a> Against<'a> {
     }
 }
 
-fn moments_of(images: &[&ChannelMeans], epsilon: f64) -> Moments {
+fn moments_of(images: &[&BlockMeans], epsilon: f64) -> Moments {
     Moments::of(images.iter().map(|image| image.energy.as_slice()), epsilon)
 }
 

@@ -118,8 +118,7 @@ impl Detector {
 
     /// A detector against some nominal domains.
     pub fn of(metric: Metric, components: Vec<Component>, window_s: f64) -> Self {
-        let taps = components.iter().flat_map(|component| &component.taps);
-        let bins: usize = taps.map(|tap| tap.nominal.len()).sum();
+        let bins = Component::taken_len(&components);
         Self {
             metric,
             components,

@@ -229,7 +229,7 @@ fn path_and_fps(name: &str) -> Result<(&Path, Option<f64>), SourceError> {
 }
 
 /// The time of frame `sequence` at a steady rate.
-fn time_of(sequence: u64, fps: f64) -> Duration {
+pub(crate) fn time_of(sequence: u64, fps: f64) -> Duration {
     // Exact to the nanosecond for more than 50 days of 100 frames a second.
     #[allow(clippy::cast_precision_loss)]
     Duration::from_secs_f64(sequence as f64 / fps)

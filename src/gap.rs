@@ -4,6 +4,7 @@ mod chi_square;
 pub mod frechet;
 mod hellinger;
 mod jensen_shannon;
+pub mod lane_risk;
 pub mod moments;
 mod pearson;
 mod wasserstein;
@@ -34,8 +35,10 @@ pub enum Metric {
     LogEnergy(Divergence),
     /// Frechet distance of the channels' means (FID's formula, the paper's eq. 1).
     Frechet,
-    /// Squared Mahalanobis distance of the channels' log energies.
+    /// Squared Mahalanobis distance of log energies, by channel and by cell.
     Mahalanobis,
+    /// Forecast of the share of lanes that the lane model loses, from log energies and labelled drives.
+    LaneRisk,
 }
 
 /// How two histograms are compared.
@@ -112,8 +115,15 @@ impl Metric {
             .into_iter()
             .chain(of(Self::Attention))
             .chain(of(Self::LogEnergy))
-            .chain([Self::Frechet, Self::Mahalanobis])
+            .chain([Self::Frechet, Self::Mahalanobis, Self::LaneRisk])
             .collect()
+    }
+
+    /// The metrics that compare any two sets of images: all but those that need labelled drives.
+    pub fn of_sets() -> Vec<Self> {
+        let mut all = Self::all();
+        all.retain(|&metric| metric != Self::LaneRisk);
+        all
     }
 
     /// How its histograms are compared; `None` of a metric that counts none.
@@ -121,7 +131,7 @@ impl Metric {
         match self {
             Self::Paper => Some(Divergence::Pearson),
             Self::Attention(divergence) | Self::LogEnergy(divergence) => Some(divergence),
-            Self::Frechet | Self::Mahalanobis => None,
+            Self::Frechet | Self::Mahalanobis | Self::LaneRisk => None,
         }
     }
 }
@@ -134,6 +144,7 @@ impl fmt::Display for Metric {
             Self::LogEnergy(divergence) => f.pad(&format!("log-energy-{}", divergence.name())),
             Self::Frechet => f.pad("frechet"),
             Self::Mahalanobis => f.pad("mahalanobis"),
+            Self::LaneRisk => f.pad("lane-risk"),
         }
     }
 }

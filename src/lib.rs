@@ -7,9 +7,10 @@
 //! Frame            picture [H, W, 3] of 8 bits, sequence, time              frame (from scene/ when rendered)
 //!   -> input       [3, h, w] floats, resized and normalised                 preprocess
 //!   -> FeatureMap  [C, h', w'] activations of each tapped block             encoder, of a model
-//!   -> EnergyMap   [h', w'] sum of squares over channels, at a common size  attention
-//!   -> counts      [bins] pixels                                            histogram
-//!   -> gap         of a window's counts against a Reference                 gap, reference, detector
+//!   -> EnergyMap   [h', w'] sum of squares over channels                    attention
+//!      BlockMeans  [energies] by channel, and by cell of a coarse grid      energies
+//!   -> taken       [bins] pixels, or [energies] levels of log energies      histogram, gap, intake
+//!   -> gap         of a window's sums against a Reference                   gap, reference, detector
 //!   -> score       0 nominal, 1 alarm threshold                             detector
 //!   -> AlarmState  Init, Ok, Suspect, Gap, SensorFault, Unavailable         alarm
 //!   -> GapStatus   8 bytes with counter and CRC                             can
@@ -41,6 +42,8 @@ pub mod histogram;
 pub mod gap;
 pub mod reference;
 
+pub mod intake;
+
 pub mod detector;
 
 pub mod alarm;
@@ -52,6 +55,7 @@ pub mod pipeline;
 pub mod evidence;
 
 // Whole sources at once.
+pub mod labelled;
 pub mod survey;
 
 pub mod calibration;

@@ -3,12 +3,13 @@
 use std::time::Duration;
 
 use crate::alarm::{Alarm, AlarmState, Judgement, Reason};
-use crate::attention::{EnergyMap, Upsampler};
+use crate::attention::EnergyMap;
 use crate::camera_health::CameraHealth;
 use crate::detector::{BlockScore, Detector, Evidence};
 use crate::encoder::{Encoder, EncoderError};
 use crate::energies::EnergyStage;
 use crate::frame::{Frame, Picture};
+use crate::intake::Intake;
 use crate::model::TAPS_MAX;
 use crate::reference::{Component, Reference};
 use crate::undefined::Undefined;
@@ -18,12 +19,7 @@ pub struct Monitor {
     camera: CameraHealth,
     stage: EnergyStage,
     components: Vec<Component>,
-    /// Energy maps are looked at, not only channels.
-    needs_maps: bool,
-    /// By tap, once the sizes of the maps are known.
-    upsamplers: Vec<Upsampler>,
-    /// By tap, energy maps at the common size.
-    common: Vec<EnergyMap>,
+    intake: Intake,
     taken: Vec<u32>,
     detector: Detector,
     alarm: Alarm,
@@ -70,14 +66,13 @@ impl Monitor {
     /// When the encoder's state cannot be set up.
     pub fn new(encoder: &Encoder, reference: &Reference) -> Result<Self, EncoderError> {
         let stage = EnergyStage::new(encoder, &reference.model.preprocessing)?;
+        let common_size = stage.common_size();
         let detector = Detector::new(reference);
         Ok(Self {
             camera: CameraHealth::default(),
             stage,
             components: reference.components.clone(),
-            needs_maps: reference.metric.divergence().is_some(),
-            upsamplers: Vec::new(),
-            common: vec![EnergyMap::default(); reference.model.taps.len()],
+            intake: Intake::new(reference.metric, reference.model.taps.len(), common_size),
             taken: vec![0; detector.taken_len()],
             detector,
             alarm: Alarm::default(),
@@ -152,28 +147,9 @@ impl Monitor {
 
     /// Fills `taken` with what each nominal domain looks at in one frame.
     fn take(&mut self, frame: &Frame) -> Result<(), Undefined> {
-        let size = self.stage.common_size();
-        let maps = self.stage.energies(frame)?;
-        if self.needs_maps {
-            if self.upsamplers.is_empty() {
-                let sizes = maps.iter().map(|map| (map.width, map.height));
-                self.upsamplers = sizes.map(|from| Upsampler::new(from, size)).collect();
-            }
-            for ((map, upsampler), common) in
-                maps.iter().zip(&self.upsamplers).zip(&mut self.common)
-            {
-                upsampler.resample(map, common);
-            }
-        }
-        let mut taken = self.taken.as_mut_slice();
-        for component in &self.components {
-            let blocks = self.common.iter().zip(self.stage.channels());
-            for (tap, (common, channels)) in component.taps.iter().zip(blocks) {
-                let (own, rest) = taken.split_at_mut(tap.nominal.len());
-                tap.nominal.take(common, channels, own)?;
-                taken = rest;
-            }
-        }
-        Ok(())
+        self.stage.energies(frame)?;
+        let (maps, means) = (self.stage.maps(), self.stage.means());
+        self.intake
+            .take(maps, means, &self.components, &mut self.taken)
     }
 }

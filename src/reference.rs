@@ -12,8 +12,9 @@ use sha2::{Digest, Sha256};
 
 use crate::attention::EnergyMap;
 use crate::encoder::Encoder;
-use crate::energies::ChannelMeans;
-use crate::gap::moments::{ChannelNorm, channel_levels};
+use crate::energies::BlockMeans;
+use crate::gap::lane_risk::LaneRisk;
+use crate::gap::moments::{EnergyNorm, energy_levels};
 use crate::gap::{Comparison, Metric};
 use crate::histogram::Binning;
 use crate::model::ModelSpec;
@@ -35,7 +36,7 @@ pub const COMPONENTS_MAX: usize = 64;
 pub const SPREAD_MIN: f64 = 1e-9;
 
 const FORMAT: &str = "gapwatch-reference";
-const VERSION: u32 = 2;
+const VERSION: u32 = 3;
 const BUILT_IN: &str = include_str!("../calibration/sim.json");
 
 /// What nominal attention looks like to one model.
@@ -46,7 +47,8 @@ pub struct Reference {
     version: u32,
     /// The model that it holds for.
     pub model: ModelFingerprint,
-    /// Made of simulation alone: on any real road it means a standing gap.
+    /// Made of simulation alone, so that any real road is a standing gap. Never of `lane-risk`, which asks what the lane
+    /// model loses, not where the road is.
     pub strict: bool,
     /// How gaps are measured.
     pub metric: Metric,
@@ -183,8 +185,10 @@ pub enum Nominal {
         /// `[bins]`, pixels.
         counts: Vec<u64>,
     },
-    /// Energies of the channels.
-    Channels(ChannelNorm),
+    /// Energies by channel and by cell.
+    Energies(EnergyNorm),
+    /// The same, and what the lane model loses with them.
+    LaneRisk(LaneRisk),
 }
 
 /// Nominal gaps of windows of a number of frames.
@@ -269,7 +273,7 @@ impl Reference {
             format: FORMAT.to_owned(),
             version: VERSION,
             model,
-            strict: components.len() == 1,
+            strict: is_strict(metric, &components),
             metric,
             window_s,
             false_alarms,
@@ -327,7 +331,7 @@ impl Reference {
                 self.components.len()
             ));
         }
-        if self.strict != (self.components.len() == 1) {
+        if self.strict != is_strict(self.metric, &self.components) {
             return Some(format!(
                 "strict = {} beside {} components",
                 self.strict,
@@ -401,6 +405,18 @@ impl Reference {
     }
 }
 
+impl Component {
+    /// Numbers that some domains take of a frame.
+    pub fn taken_len(components: &[Self]) -> usize {
+        let taps = components.iter().flat_map(|component| &component.taps);
+        taps.map(|tap| tap.nominal.len()).sum()
+    }
+}
+
+fn is_strict(metric: Metric, components: &[Component]) -> bool {
+    components.len() == 1 && metric != Metric::LaneRisk
+}
+
 impl TapReference {
     fn fault(&self, metric: Metric) -> Option<String> {
         if self.images == 0 {
@@ -421,10 +437,15 @@ impl TapReference {
             .all(|pair| pair[0].frames < pair[1].frames);
         let largest = match self.nominal {
             Nominal::Histogram { .. } => 2.0 * GAP_MAX,
-            Nominal::Channels(_) => f64::MAX,
+            Nominal::Energies(_) | Nominal::LaneRisk(_) => f64::MAX,
+        };
+        let least = match self.nominal {
+            // A forecast: a little below 0 on an easy road.
+            Nominal::LaneRisk(_) => f64::MIN,
+            _ => -1e-9,
         };
         let usable = |p: &ScalePoint| {
-            let in_range = |gap: f64| (-1e-9..=largest).contains(&gap);
+            let in_range = |gap: f64| (least..=largest).contains(&gap);
             p.frames > 0
                 && in_range(p.median)
                 && p.threshold.is_finite()
@@ -462,11 +483,12 @@ impl TapReference {
 }
 
 impl Nominal {
-    /// Numbers that are taken of a frame: bins or channels.
+    /// Numbers that are taken of a frame: bins or energies.
     pub fn len(&self) -> usize {
         match self {
             Self::Histogram { counts, .. } => counts.len(),
-            Self::Channels(norm) => norm.channels(),
+            Self::Energies(norm) => norm.energies(),
+            Self::LaneRisk(risk) => risk.mean.len(),
         }
     }
 
@@ -478,11 +500,11 @@ impl Nominal {
     /// Takes one block of a frame: `common` is its energy map at the common size, `taken` `[len]`. Allocates nothing.
     ///
     /// # Errors
-    /// `ConstantMap` when the map says nothing, `ChannelCount` when the block has other channels than the reference.
+    /// `ConstantMap` when the map says nothing, `EnergyCount` when the block has other channels than the reference.
     pub fn take(
         &self,
         common: &EnergyMap,
-        channels: &ChannelMeans,
+        means: &BlockMeans,
         taken: &mut [u32],
     ) -> Result<(), Undefined> {
         match self {
@@ -490,14 +512,17 @@ impl Nominal {
                 taken.fill(0);
                 binning.count(common, taken)
             }
-            Self::Channels(norm) if norm.channels() == channels.energy.len() => {
-                channel_levels(&channels.energy, norm.epsilon, taken);
+            Self::Energies(EnergyNorm { epsilon, .. })
+            | Self::LaneRisk(LaneRisk { epsilon, .. }) => {
+                if means.energy.len() != taken.len() {
+                    return Err(Undefined::EnergyCount {
+                        found: means.energy.len(),
+                        wanted: taken.len(),
+                    });
+                }
+                energy_levels(&means.energy, *epsilon, taken);
                 Ok(())
             }
-            Self::Channels(norm) => Err(Undefined::ChannelCount {
-                found: channels.energy.len(),
-                wanted: norm.channels(),
-            }),
         }
     }
 
@@ -516,7 +541,7 @@ impl Nominal {
                 .divergence()
                 .ok_or(Undefined::NoScore)?
                 .compare(sums, counts),
-            Self::Channels(norm) => {
+            Self::Energies(norm) => {
                 let distance = norm.distance(sums, frames);
                 Ok(Comparison {
                     value: distance,
@@ -524,12 +549,21 @@ impl Nominal {
                     similarity: 1.0 / (1.0 + distance),
                 })
             }
+            Self::LaneRisk(risk) => {
+                let loss = risk.loss(sums, frames);
+                Ok(Comparison {
+                    value: loss,
+                    gap: loss,
+                    similarity: 1.0 - loss,
+                })
+            }
         }
     }
 
     fn fault(&self, metric: Metric) -> Option<String> {
         match (self, metric) {
-            (Self::Channels(norm), Metric::Mahalanobis) => norm.fault(),
+            (Self::Energies(norm), Metric::Mahalanobis) => norm.fault(),
+            (Self::LaneRisk(risk), Metric::LaneRisk) => risk.fault(),
             (
                 Self::Histogram {
                     binning: binning @ Binning::LogEnergy { .. },

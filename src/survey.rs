@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use crate::attention::{EnergyMap, Upsampler};
 use crate::encoder::{Encoder, EncoderError};
-use crate::energies::{ChannelMeans, EnergyStage};
+use crate::energies::{BlockMeans, EnergyStage};
 use crate::frame::{SourceError, open};
 use crate::preprocess::Preprocessing;
 use crate::undefined::Undefined;
@@ -14,6 +14,8 @@ use crate::undefined::Undefined;
 pub struct Survey {
     /// As typed.
     pub source: String,
+    /// When each frame was taken.
+    pub times: Vec<Duration>,
     /// Of every frame, in order: what the encoder saw, or why nothing.
     pub frames: Vec<Result<SurveyFrame, Undefined>>,
     /// Size that maps are resampled to, width and height.
@@ -23,23 +25,21 @@ pub struct Survey {
 /// One frame of a survey.
 #[derive(Clone, Debug)]
 pub struct SurveyFrame {
-    /// Time of the frame.
-    pub at: Duration,
-    /// Energy maps of the blocks, each of its block's own size; empty when only channels are kept.
+    /// Energy maps of the blocks, each of its block's own size; empty when only means are kept.
     pub maps: Vec<EnergyMap>,
     /// Largest energy of each block at its own size.
     pub peaks: Vec<f64>,
-    /// Channel means of each block.
-    pub channels: Vec<ChannelMeans>,
+    /// Means of each block.
+    pub means: Vec<BlockMeans>,
 }
 
 /// What a survey keeps of a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Keep {
-    /// Energy maps and channel means: about 20 KB of the built-in model.
+    /// Energy maps and means: about 20 KB of the built-in model.
     Maps,
-    /// Channel means alone: about 3 KB.
-    Channels,
+    /// Means alone: about 4 KB.
+    Means,
 }
 
 /// A source that could not be surveyed.
@@ -56,6 +56,20 @@ pub enum SurveyError {
     Picture(String),
 }
 
+impl SurveyFrame {
+    /// The last picture that a stage has judged.
+    pub fn of(stage: &EnergyStage, keep: Keep) -> Self {
+        Self {
+            maps: match keep {
+                Keep::Maps => stage.maps().to_vec(),
+                Keep::Means => Vec::new(),
+            },
+            peaks: stage.maps().iter().map(|map| map.range().1).collect(),
+            means: stage.means().to_vec(),
+        }
+    }
+}
+
 impl Survey {
     /// Looks at every frame of a source; `seen` is called after each.
     ///
@@ -70,29 +84,19 @@ impl Survey {
     ) -> Result<Self, SurveyError> {
         let mut stage = EnergyStage::new(encoder, preprocessing)?;
         let mut frames_of = open(source)?;
-        let mut frames = Vec::new();
+        let (mut times, mut frames) = (Vec::new(), Vec::new());
         while let Some(frame) = frames_of.next_frame()? {
             if let Err(error) = &frame.picture {
                 return Err(SurveyError::Picture(error.to_string()));
             }
-            let seen_in_it = stage.energies(&frame).map(|maps| {
-                let peaks = maps.iter().map(|map| map.range().1).collect();
-                let maps = match keep {
-                    Keep::Maps => maps.to_vec(),
-                    Keep::Channels => Vec::new(),
-                };
-                (maps, peaks)
-            });
-            frames.push(seen_in_it.map(|(maps, peaks)| SurveyFrame {
-                at: frame.captured_at,
-                maps,
-                peaks,
-                channels: stage.channels().to_vec(),
-            }));
+            times.push(frame.captured_at);
+            let judged = stage.energies(&frame).map(|_| ());
+            frames.push(judged.map(|()| SurveyFrame::of(&stage, keep)));
             seen();
         }
         Ok(Self {
             source: source.to_owned(),
+            times,
             frames,
             common_size: stage.common_size(),
         })

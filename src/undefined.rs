@@ -64,11 +64,11 @@ pub enum Undefined {
         wanted: usize,
     },
     /// A block with other channels than the reference was made with.
-    #[error("block of {found} channels, the reference has {wanted}")]
-    ChannelCount {
-        /// Channels of the block.
+    #[error("block of {found} channels and cells, the reference has {wanted}")]
+    EnergyCount {
+        /// Of the block.
         found: usize,
-        /// Channels of the reference.
+        /// Of the reference.
         wanted: usize,
     },
     /// No frame came.

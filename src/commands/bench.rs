@@ -6,15 +6,16 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, anyhow};
 use gapwatch::alarm::{Alarm, Judgement, Reason};
-use gapwatch::attention::{EnergyMap, Upsampler, common_size, energy_from_features};
+use gapwatch::attention::{EnergyMap, common_size, energy_from_features};
 use gapwatch::calibration::{Domain, Wanted, calibrate};
 use gapwatch::can::message::{GapHealth, GapStatus};
 use gapwatch::can::sender::StatusSender;
 use gapwatch::can::{CanFrame, CanSettings, SinkError, WarningSink};
 use gapwatch::detector::{Detector, Evidence};
 use gapwatch::encoder::EncoderSession;
-use gapwatch::energies::ChannelMeans;
+use gapwatch::energies::BlockMeans;
 use gapwatch::frame::{Frame, open};
+use gapwatch::intake::Intake;
 use gapwatch::pipeline::Monitor;
 use gapwatch::preprocess::Preprocessor;
 use gapwatch::reference::{Provenance, Reference};
@@ -149,7 +150,7 @@ fn made_for(model: &Model) -> anyhow::Result<Reference> {
         window_s: 1.0,
         false_alarms_per_hour: 1.0,
     };
-    let made = calibrate(&[domain], &[], &model.spec.taps, wanted)?;
+    let made = calibrate(&[domain], &[], &[], &model.spec.taps, wanted)?;
     Ok(Reference::new(
         model.fingerprint.clone(),
         wanted.metric,
@@ -170,10 +171,8 @@ struct Stages<'a> {
     preprocessor: Preprocessor,
     session: EncoderSession,
     maps: Vec<EnergyMap>,
-    channels: Vec<ChannelMeans>,
-    size: (usize, usize),
-    upsamplers: Vec<Upsampler>,
-    common: Vec<EnergyMap>,
+    means: Vec<BlockMeans>,
+    intake: Intake,
     taken: Vec<u32>,
     detector: Detector,
     alarm: Alarm,
@@ -228,10 +227,8 @@ impl<'a> Stages<'a> {
             preprocessor: Preprocessor::new(of),
             session: model.encoder.session()?,
             maps: vec![EnergyMap::default(); taps],
-            channels: vec![ChannelMeans::default(); taps],
-            size: common_size(of.width, of.height),
-            upsamplers: Vec::new(),
-            common: vec![EnergyMap::default(); taps],
+            means: vec![BlockMeans::default(); taps],
+            intake: Intake::new(reference.metric, taps, common_size(of.width, of.height)),
             taken: vec![0; detector.taken_len()],
             detector,
             alarm: Alarm::default(),
@@ -254,31 +251,16 @@ impl<'a> Stages<'a> {
         let features = self.session.run(input).map_err(Undefined::Encoder)?;
         clock.lap();
 
-        let blocks = self.maps.iter_mut().zip(&mut self.channels);
-        for (features, (map, channels)) in features.iter().zip(blocks) {
+        let blocks = self.maps.iter_mut().zip(&mut self.means);
+        for (features, (map, means)) in features.iter().zip(blocks) {
             energy_from_features("", features, map)?;
-            channels.take(features);
+            means.take(features);
         }
         clock.lap();
 
-        if self.upsamplers.is_empty() {
-            let sizes = self.maps.iter().map(|map| (map.width, map.height));
-            self.upsamplers = sizes.map(|from| Upsampler::new(from, self.size)).collect();
-        }
-        for ((map, upsampler), common) in
-            self.maps.iter().zip(&self.upsamplers).zip(&mut self.common)
-        {
-            upsampler.resample(map, common);
-        }
-        let mut taken = self.taken.as_mut_slice();
-        for component in &self.reference.components {
-            let blocks = self.common.iter().zip(&self.channels);
-            for (tap, (common, channels)) in component.taps.iter().zip(blocks) {
-                let (own, rest) = taken.split_at_mut(tap.nominal.len());
-                tap.nominal.take(common, channels, own)?;
-                taken = rest;
-            }
-        }
+        let components = &self.reference.components;
+        self.intake
+            .take(&self.maps, &self.means, components, &mut self.taken)?;
         clock.lap();
 
         let evidence = self.detector.observe(now, &self.taken);

@@ -4,13 +4,17 @@ use std::collections::HashSet;
 use std::io::Write;
 
 use anyhow::{Context, bail};
-use gapwatch::calibration::{Calibrated, Domain, Wanted, calibrate};
+use gapwatch::calibration::{Calibrated, Domain, LabelledMeans, Wanted, calibrate};
+use gapwatch::encoder::Encoder;
 use gapwatch::frame::drives;
 use gapwatch::gap::Metric;
-use gapwatch::reference::{COMPONENTS_MAX, NominalDrives, Provenance, Reference};
+use gapwatch::labelled::training_frames;
+use gapwatch::model::ModelSpec;
+use gapwatch::reference::{COMPONENTS_MAX, NominalDrives, Provenance, Reference, SourceUse};
+use gapwatch::scene::DriveSpec;
 use gapwatch::survey::{Keep, Survey};
 
-use super::Model;
+use super::{Model, progress};
 use crate::args::CalibrateArgs;
 
 /// Name of the first nominal domain.
@@ -27,6 +31,15 @@ pub fn run(args: &CalibrateArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
             COMPONENTS_MAX - 1
         );
     }
+    let risk = args.metric == Metric::LaneRisk;
+    if risk != !args.labelled.is_empty() {
+        bail!("--metric lane-risk and --labelled belong together; wanted both or neither");
+    }
+    if risk && !args.accept.is_empty() {
+        bail!(
+            "--metric lane-risk judges any road by what the lane model loses; wanted no --accept"
+        );
+    }
     let model = Model::load(&args.model)?;
     let all_drives = |names: &[String]| -> anyhow::Result<Vec<String>> {
         let all = names.iter().map(|name| drives(name));
@@ -41,10 +54,12 @@ pub fn run(args: &CalibrateArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
     if let Some(twice) = sources.iter().find(|&source| !seen.insert(source)) {
         bail!("source {twice} is given twice; held-out drives must be others than fitted ones");
     }
-    let keep = match args.metric {
-        Metric::Mahalanobis => Keep::Channels,
-        _ => Keep::Maps,
+    let labelled = labelled_drives(&all_drives(&args.labelled)?)?;
+    let keep = match args.metric.divergence() {
+        None => Keep::Means,
+        Some(_) => Keep::Maps,
     };
+    let labelled_frames = labelled_frames(&labelled, &model.spec)?;
     let surveys = model.survey(&sources, keep, "calibrating")?;
     let mut rest = surveys.as_slice();
     let mut taken: Vec<&[Survey]> = Vec::new();
@@ -70,8 +85,20 @@ pub fn run(args: &CalibrateArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
     let Calibrated {
         components,
         false_alarms,
-        sources,
-    } = calibrate(&domains, held_out, &model.spec.taps, wanted)?;
+        mut sources,
+    } = calibrate(
+        &domains,
+        held_out,
+        &labelled_frames,
+        &model.spec.taps,
+        wanted,
+    )?;
+    sources.extend(labelled.iter().map(|(name, spec)| SourceUse {
+        source: name.clone(),
+        frames: spec.frames(),
+        fitted: spec.frames(),
+        held_out: 0,
+    }));
     let provenance = Provenance {
         gapwatch: env!("CARGO_PKG_VERSION").to_owned(),
         command: command_line(),
@@ -90,6 +117,43 @@ pub fn run(args: &CalibrateArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
         .context("cannot write the reference")?;
     describe(&reference, args, out)?;
     Ok(0)
+}
+
+/// Rendered drives by name; no other source has lane labels.
+fn labelled_drives(names: &[String]) -> anyhow::Result<Vec<(String, DriveSpec)>> {
+    let drives = names.iter().map(|name| {
+        let Some(spec) = name.strip_prefix("scene:") else {
+            bail!("--labelled {name}: has no lane labels; wanted a rendered drive, scene:…");
+        };
+        let spec: DriveSpec = spec.parse()?;
+        if !spec.conditions.is_empty() {
+            bail!("--labelled {name}: has a condition; wanted a plain drive, conditions are added");
+        }
+        Ok((name.clone(), spec))
+    });
+    drives.collect()
+}
+
+/// The labelled drives seen through the lane model, plain and under every condition.
+fn labelled_frames(
+    drives: &[(String, DriveSpec)],
+    spec: &ModelSpec,
+) -> anyhow::Result<Vec<LabelledMeans>> {
+    if drives.is_empty() {
+        return Ok(Vec::new());
+    }
+    if spec.lane.is_none() {
+        bail!(
+            "{}: no lane output is named; wanted lane = \"NAME\" in the .toml beside it for lane-risk",
+            spec.name
+        );
+    }
+    let encoder = Encoder::load_with_lane(spec)?;
+    let drives: Vec<DriveSpec> = drives.iter().map(|(_, drive)| drive.clone()).collect();
+    let bar = progress::frames(Some(drives.len() as u64), "labelled drives");
+    let frames = training_frames(&drives, &encoder, &spec.preprocessing, &|| bar.inc(1))?;
+    bar.finish_and_clear();
+    Ok(frames.into_iter().map(|(_, frame)| frame).collect())
 }
 
 fn describe(

@@ -14,16 +14,13 @@ pub struct DriveSource {
 
 impl DriveSource {
     pub fn new(spec: &DriveSpec) -> Self {
-        // Both factors are positive and their product is at most 86,400 s of 240 frames.
-        #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)]
-        let count = (spec.seconds * spec.fps).ceil() as u64;
         Self {
             drive: Drive::new(&spec.world, spec.seed, &spec.conditions),
             renderer: Renderer::new(spec.size_px.0, spec.size_px.1),
             size_px: spec.size_px,
             fps: spec.fps,
             next: 0,
-            count,
+            count: spec.frames(),
         }
     }
 }

@@ -1,5 +1,5 @@
-//! Channel energies of a tapped block: one vector a frame, its exact moments over many frames, and how far a window lies
-//! from them.
+//! Energies of a tapped block, by channel and by cell of a coarse grid: one vector a frame, its exact moments over many
+//! frames, and how far a window lies from them.
 //!
 //! A block's energy summed over channels says where the encoder looks; averaged over the map, channel by channel, it says
 //! what it finds there. Vectors are integers, so sums of any number of frames are exact in any order.
@@ -18,12 +18,12 @@ pub const EPSILON_SHARE: f64 = 2e-5;
 /// 0.02 and 0.3 the conditions found differ by a few points in a hundred.
 const SHRINKAGE: f64 = 0.1;
 /// Spread added to every channel's own, nats: a channel that is never active in simulation is no proof by itself.
-const SPREAD_FLOOR: f64 = 0.05;
+pub(super) const SPREAD_FLOOR: f64 = 0.05;
 /// Fewest frames that moments are taken from.
 pub const FRAMES_MIN: u64 = 2;
 
-/// Writes `ln(1 + e / epsilon)` of each channel's mean energy `e`, `[channels]`, in steps of 1 / 1024 nat.
-pub fn channel_levels(energies: &[f64], epsilon: f64, levels: &mut [u32]) {
+/// Writes `ln(1 + e / epsilon)` of each channel's mean energy `e`, `[energies]`, in steps of 1 / 1024 nat.
+pub fn energy_levels(energies: &[f64], epsilon: f64, levels: &mut [u32]) {
     for (level, energy) in levels.iter_mut().zip(energies) {
         // Finite and not negative: at most ln(1 + 1e77 / 1e-45), far below 2^32 steps.
         #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)]
@@ -37,30 +37,30 @@ pub fn channel_levels(energies: &[f64], epsilon: f64, levels: &mut [u32]) {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Moments {
     frames: u64,
-    /// `[channels]`
+    /// `[energies]`
     sums: Vec<u64>,
-    /// `[channels (channels + 1) / 2]`, the lower triangle row by row.
+    /// `[energies (energies + 1) / 2]`, the lower triangle row by row.
     products: Vec<u64>,
 }
 
 impl Moments {
     /// Nothing summed yet.
-    pub fn new(channels: usize) -> Self {
+    pub fn new(energies: usize) -> Self {
         Self {
             frames: 0,
-            sums: vec![0; channels],
-            products: vec![0; channels * (channels + 1) / 2],
+            sums: vec![0; energies],
+            products: vec![0; energies * (energies + 1) / 2],
         }
     }
 
-    /// The moments of frames' channel energies, each `[channels]`.
-    pub fn of<'a>(energies: impl Iterator<Item = &'a [f64]>, epsilon: f64) -> Self {
-        let mut energies = energies.peekable();
-        let channels = energies.peek().map_or(0, |frame| frame.len());
-        let mut moments = Self::new(channels);
-        let mut levels = vec![0; channels];
-        for frame in energies {
-            channel_levels(frame, epsilon, &mut levels);
+    /// The moments of frames' energies, each `[energies]`.
+    pub fn of<'a>(frames: impl Iterator<Item = &'a [f64]>, epsilon: f64) -> Self {
+        let mut frames = frames.peekable();
+        let len = frames.peek().map_or(0, |frame| frame.len());
+        let mut moments = Self::new(len);
+        let mut levels = vec![0; len];
+        for frame in frames {
+            energy_levels(frame, epsilon, &mut levels);
             moments.add(&levels);
         }
         moments
@@ -71,12 +71,12 @@ impl Moments {
         self.frames
     }
 
-    /// Sum of the levels, `[channels]`.
+    /// Sum of the levels, `[energies]`.
     pub fn sums(&self) -> &[u64] {
         &self.sums
     }
 
-    /// Adds a frame's levels, `[channels]`.
+    /// Adds a frame's levels, `[energies]`.
     pub fn add(&mut self, levels: &[u32]) {
         self.frames += 1;
         let mut products = self.products.iter_mut();
@@ -98,22 +98,34 @@ impl Moments {
         add(&mut self.products, &other.products);
     }
 
+    /// # Errors
+    /// `TooFewImages` when there are too few frames to have a spread.
+    pub(super) fn check_frames(&self) -> Result<(), Undefined> {
+        if self.frames >= FRAMES_MIN {
+            return Ok(());
+        }
+        Err(Undefined::TooFewImages {
+            found: usize::try_from(self.frames).unwrap_or(usize::MAX),
+            wanted: usize::try_from(FRAMES_MIN).unwrap_or(usize::MAX),
+        })
+    }
+
     /// Mean, nats.
     #[allow(clippy::cast_precision_loss)]
-    fn mean(&self) -> Vec<f64> {
+    pub(super) fn mean(&self) -> Vec<f64> {
         let scale = STEPS_PER_NAT * self.frames as f64;
         self.sums.iter().map(|&sum| sum as f64 / scale).collect()
     }
 
     /// Covariance, nats squared; differences are taken in integers, so nothing cancels.
     #[allow(clippy::cast_precision_loss)]
-    fn covariance(&self) -> DMatrix<f64> {
-        let channels = self.sums.len();
+    pub(super) fn covariance(&self) -> DMatrix<f64> {
+        let len = self.sums.len();
         let n = i128::from(self.frames);
         let scale = (self.frames as f64 * STEPS_PER_NAT).powi(2);
-        let mut covariance = DMatrix::zeros(channels, channels);
+        let mut covariance = DMatrix::zeros(len, len);
         let mut products = self.products.iter();
-        for row in 0..channels {
+        for row in 0..len {
             for (column, &product) in (0..=row).zip(products.by_ref()) {
                 let apart = n * i128::from(product)
                     - i128::from(self.sums[row]) * i128::from(self.sums[column]);
@@ -126,19 +138,19 @@ impl Moments {
     }
 }
 
-/// Nominal channel energies of one block: what Mahalanobis distances are measured with.
+/// Nominal energies of one block: what Mahalanobis distances are measured with.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct ChannelNorm {
+pub struct EnergyNorm {
     /// Energy that counts as none, squared activation units.
     pub epsilon: f64,
-    /// `[channels]`, mean of `ln(1 + e / epsilon)`, nats.
+    /// `[energies]`, mean of `ln(1 + e / epsilon)`, nats.
     pub mean: Vec<f64>,
-    /// `[channels (channels + 1) / 2]`: lower triangle, row by row, of the matrix that whitens deviations from the mean.
+    /// `[energies (energies + 1) / 2]`: lower triangle, row by row, of the matrix that whitens deviations from the mean.
     pub whitening: Vec<f32>,
 }
 
-impl ChannelNorm {
+impl EnergyNorm {
     /// The norm of a set of frames. With `wider`, a larger set of which this one is a part of the kind, the spread is the
     /// larger set's as far as the own `drives` are few.
     ///
@@ -149,12 +161,7 @@ impl ChannelNorm {
         own: &Moments,
         wider: Option<(&Moments, usize)>,
     ) -> Result<Self, Undefined> {
-        if own.frames < FRAMES_MIN {
-            return Err(Undefined::TooFewImages {
-                found: usize::try_from(own.frames).unwrap_or(usize::MAX),
-                wanted: usize::try_from(FRAMES_MIN).unwrap_or(usize::MAX),
-            });
-        }
+        own.check_frames()?;
         let mut covariance = own.covariance();
         if let Some((wider, drives)) = wider {
             // As much weight on the own spread as it has drives, against `PRIOR_DRIVES` of the wider set.
@@ -162,22 +169,22 @@ impl ChannelNorm {
             let weight = drives as f64 / (drives as f64 + PRIOR_DRIVES);
             covariance = weight * covariance + (1.0 - weight) * wider.covariance();
         }
-        let channels = own.sums.len();
-        let spreads: Vec<f64> = (0..channels)
+        let len = own.sums.len();
+        let spreads: Vec<f64> = (0..len)
             .map(|i| (covariance[(i, i)] + SPREAD_FLOOR * SPREAD_FLOOR).sqrt())
             .collect();
-        let shrunk = DMatrix::from_fn(channels, channels, |i, j| {
+        let shrunk = DMatrix::from_fn(len, len, |i, j| {
             let correlation = covariance[(i, j)] / (spreads[i] * spreads[j]);
             (1.0 - SHRINKAGE) * correlation + if i == j { SHRINKAGE } else { 0.0 }
         });
         // Positive definite: a correlation matrix with a multiple of the identity added.
         let lower = Cholesky::new(shrunk).ok_or(Undefined::NoScore)?.l();
-        let mut whitening = DMatrix::identity(channels, channels);
+        let mut whitening = DMatrix::identity(len, len);
         if !lower.solve_lower_triangular_mut(&mut whitening) {
             return Err(Undefined::NoScore);
         }
         #[allow(clippy::cast_possible_truncation)]
-        let whitening = (0..channels)
+        let whitening = (0..len)
             .flat_map(|row| (0..=row).map(move |column| (row, column)))
             .map(|(row, column)| (whitening[(row, column)] / spreads[column]) as f32)
             .collect();
@@ -188,13 +195,13 @@ impl ChannelNorm {
         })
     }
 
-    /// Channels.
-    pub fn channels(&self) -> usize {
+    /// Energies: channels and cells.
+    pub fn energies(&self) -> usize {
         self.mean.len()
     }
 
-    /// Squared Mahalanobis distance of the mean level vector of `frames` frames, `sums` `[channels]` their sum, divided by
-    /// the number of channels: about 1 for a nominal frame. Allocates nothing.
+    /// Squared Mahalanobis distance of the mean level vector of `frames` frames, `sums` `[energies]` their sum, divided by
+    /// the number of energies: about 1 for a nominal frame. Allocates nothing.
     #[allow(clippy::cast_precision_loss)]
     pub fn distance(&self, sums: &[u64], frames: usize) -> f64 {
         let scale = 1.0 / (STEPS_PER_NAT * frames.max(1) as f64);
@@ -216,13 +223,13 @@ impl ChannelNorm {
 
     /// What is wrong with a norm read from a file, if anything.
     pub fn fault(&self) -> Option<String> {
-        let channels = self.mean.len();
-        let wanted = channels * (channels + 1) / 2;
+        let len = self.mean.len();
+        let wanted = len * (len + 1) / 2;
         let finite =
             self.mean.iter().all(|m| m.is_finite()) && self.whitening.iter().all(|w| w.is_finite());
-        if channels == 0 || self.whitening.len() != wanted || !finite {
+        if len == 0 || self.whitening.len() != wanted || !finite {
             return Some(format!(
-                "{} whitening weights for {channels} channels, wanted {wanted} finite ones",
+                "{} whitening weights for {len} energies, wanted {wanted} finite ones",
                 self.whitening.len()
             ));
         }
@@ -249,7 +256,7 @@ mod tests {
     #[test]
     fn levels_are_log_energies_in_steps() {
         let mut levels = [0; 3];
-        channel_levels(&[0.0, 1.0, 1e6], 1.0, &mut levels);
+        energy_levels(&[0.0, 1.0, 1e6], 1.0, &mut levels);
         // 1024 ln 2 and 1024 ln 1000001.
         assert_eq!(levels, [0, 710, 14_147]);
     }
@@ -264,7 +271,7 @@ mod tests {
 
     #[test]
     fn the_distance_is_that_of_independent_channels_by_hand() {
-        let norm = ChannelNorm::fit(
+        let norm = EnergyNorm::fit(
             1.0,
             &moments(&[[0, 0], [2048, 0], [0, 4096], [2048, 4096]]),
             None,
@@ -288,18 +295,18 @@ mod tests {
 
     #[test]
     fn channels_that_never_move_are_no_division_by_zero() {
-        let norm = ChannelNorm::fit(1.0, &moments(&[[7, 7], [7, 7]]), None).unwrap();
+        let norm = EnergyNorm::fit(1.0, &moments(&[[7, 7], [7, 7]]), None).unwrap();
         assert_eq!(norm.fault(), None);
         assert!(norm.distance(&[1024, 1024], 1).is_finite());
-        assert!(ChannelNorm::fit(1.0, &moments(&[[7, 7]]), None).is_err());
+        assert!(EnergyNorm::fit(1.0, &moments(&[[7, 7]]), None).is_err());
     }
 
     #[test]
     fn a_lone_accepted_drive_borrows_the_spread_of_the_simulation() {
         let wide = moments(&[[0, 0], [2048, 2048], [0, 2048], [2048, 0]]);
         let lone = moments(&[[5000, 5000], [5001, 5001]]);
-        let narrow = ChannelNorm::fit(1.0, &lone, None).unwrap();
-        let blended = ChannelNorm::fit(1.0, &lone, Some((&wide, 1))).unwrap();
+        let narrow = EnergyNorm::fit(1.0, &lone, None).unwrap();
+        let blended = EnergyNorm::fit(1.0, &lone, Some((&wide, 1))).unwrap();
         let near = [5300, 5300];
         assert!(blended.distance(&near, 1) < 0.1 * narrow.distance(&near, 1));
     }
@@ -314,7 +321,7 @@ mod tests {
             let mut merged = moments(b);
             merged.merge(&moments(a));
             prop_assert_eq!(&merged, &whole);
-            let norm = ChannelNorm::fit(1.0, &whole, None).unwrap();
+            let norm = EnergyNorm::fit(1.0, &whole, None).unwrap();
             prop_assert!(frames.iter().all(|f| norm.distance(&f.map(u64::from), 1).is_finite()));
         }
     }

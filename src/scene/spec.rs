@@ -25,6 +25,17 @@ pub struct DriveSpec {
     pub conditions: Vec<Condition>,
 }
 
+impl DriveSpec {
+    /// Frames of the whole drive.
+    pub fn frames(&self) -> u64 {
+        // Both factors are positive and their product is at most 86,400 s of 240 frames.
+        #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)]
+        {
+            (self.seconds * self.fps).ceil() as u64
+        }
+    }
+}
+
 /// A drive that cannot be read.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum SpecError {
