@@ -249,6 +249,9 @@ pub struct EvaluateArgs {
     /// Scenes a look, condition and severity
     #[arg(long, value_name = "N", conflicts_with = "quick", value_parser = clap::value_parser!(u32).range(1..=100_000))]
     pub scenes: Option<u32>,
+    /// Folder of image sets for field_sets and paper_table; calibration/README.md lists what it holds
+    #[arg(long, value_name = "DIR")]
+    pub field: Option<PathBuf>,
     /// How the result is written
     #[arg(long, value_enum, default_value = "table")]
     pub format: ResultsFormat,
@@ -256,7 +259,7 @@ pub struct EvaluateArgs {
     #[arg(long, value_name = "FILE")]
     pub out: Option<PathBuf>,
     /// Show the results in this file instead of evaluating
-    #[arg(long, value_name = "FILE", conflicts_with_all = ["model", "quick", "reference", "drives", "hours", "scenes", "out"])]
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["model", "quick", "reference", "drives", "hours", "scenes", "field", "out"])]
     pub from: Option<PathBuf>,
 }
 
@@ -282,6 +285,9 @@ pub enum EvaluateKey {
     /// Entries into Gap on nominal drives
     #[value(name = "false_alarms")]
     FalseAlarms,
+    /// How well each metric tells other roads' image sets from a simulation's; needs --field
+    #[value(name = "field_sets")]
+    FieldSets,
 }
 
 impl EvaluateKey {

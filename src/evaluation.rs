@@ -6,7 +6,9 @@
 
 pub mod domain_detection;
 pub mod false_alarms;
+pub mod field_sets;
 mod resampling;
+pub mod separation;
 pub mod watched;
 
 use rayon::prelude::*;

@@ -5,6 +5,8 @@
 mod command;
 mod domain_detection;
 mod false_alarms;
+mod field;
+mod field_sets;
 mod lane_iou;
 mod results;
 mod sheet;
@@ -19,6 +21,7 @@ use gapwatch::model::{ModelOptions, ModelSpec};
 use serde::de::DeserializeOwned;
 
 use crate::args::{EvaluateArgs, EvaluateKey, ResultsFormat};
+use field::Field;
 use results::{Results, Row, Store};
 use sheet::Sheet;
 use watched::Watched;
@@ -52,23 +55,37 @@ pub fn run(args: &EvaluateArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
     } else {
         None
     };
+    let field = match (&args.field, args.only) {
+        (Some(folder), _) if wanted(EvaluateKey::FieldSets) => Some(Field::open(folder, args)?),
+        (None, Some(EvaluateKey::FieldSets)) => {
+            bail!("field_sets needs the image sets of other roads; wanted --field DIR")
+        }
+        _ => None,
+    };
     let store = args.out.as_deref().map(Store::open).transpose()?;
+    if args.field.is_none() && args.only.is_none() {
+        log::warn!("field_sets is left out: it needs --field DIR");
+    }
     let mut results = Results::default();
     for &key in EvaluateKey::value_variants() {
         if !wanted(key) {
             continue;
         }
-        match (key, &watched) {
-            (EvaluateKey::LaneIou, _) => {
+        match (key, &watched, &field) {
+            (EvaluateKey::LaneIou, ..) => {
                 let rows = lane_iou::rows(&models, args, &built_in)?;
                 results.set(key, &rows, &command::made(key, args))?;
             }
-            (EvaluateKey::DomainDetection, Some(watched)) => {
+            (EvaluateKey::DomainDetection, Some(watched), _) => {
                 let rows = domain_detection::rows(watched, args)?;
                 results.set(key, &rows, &command::made(key, args))?;
             }
-            (EvaluateKey::FalseAlarms, Some(watched)) => {
+            (EvaluateKey::FalseAlarms, Some(watched), _) => {
                 let rows = false_alarms::rows(watched, args)?;
+                results.set(key, &rows, &command::made(key, args))?;
+            }
+            (EvaluateKey::FieldSets, _, Some(field)) => {
+                let rows = field_sets::rows(field, args)?;
                 results.set(key, &rows, &command::made(key, args))?;
             }
             _ => continue,
@@ -103,6 +120,7 @@ fn page(results: &Results, key: EvaluateKey) -> anyhow::Result<Option<Page>> {
         EvaluateKey::FalseAlarms => {
             page_of(results, key, false_alarms::ABOUT, false_alarms::sheets)
         }
+        EvaluateKey::FieldSets => page_of(results, key, field_sets::ABOUT, field_sets::sheets),
     }
 }
 

@@ -5,8 +5,12 @@ use std::path::Path;
 use gapwatch::evaluation::{SCENE_SET, domain_detection, false_alarms};
 use gapwatch::scene::Look;
 
+use super::field_sets;
 use super::results::Made;
 use crate::args::{EvaluateArgs, EvaluateKey};
+
+/// How the folder of image sets is named, wherever it lies.
+const FIELD: &str = "--field \"$GAPWATCH_FIELD\"";
 
 /// How the results of a key are made.
 pub fn made(key: EvaluateKey, args: &EvaluateArgs) -> Made {
@@ -16,6 +20,7 @@ pub fn made(key: EvaluateKey, args: &EvaluateArgs) -> Made {
             format!("drives {} and on", domain_detection::FIRST_SEED)
         }
         EvaluateKey::FalseAlarms => format!("drives {} and on", false_alarms::FIRST_SEED),
+        EvaluateKey::FieldSets => field_sets::seeds(args.quick),
     };
     Made {
         command: command(key, args),
@@ -33,14 +38,13 @@ fn command(key: EvaluateKey, args: &EvaluateArgs) -> String {
     if args.quick {
         words.push("--quick".to_owned());
     }
-    let mut number = |name: &str, value: Option<u32>| {
-        words.extend(value.map(|value| format!("--{name} {value}")));
-    };
-    match key {
+    let number = |name: &str, value: Option<u32>| value.map(|value| format!("--{name} {value}"));
+    words.extend(match key {
         EvaluateKey::LaneIou => number("scenes", args.scenes),
         EvaluateKey::DomainDetection => number("drives", args.drives),
         EvaluateKey::FalseAlarms => number("hours", args.hours),
-    }
+        EvaluateKey::FieldSets => Some(FIELD.to_owned()),
+    });
     if matches!(key, EvaluateKey::DomainDetection | EvaluateKey::FalseAlarms) {
         if let Some(path) = &args.reference {
             words.push(format!("--reference {}", portable(path)));
