@@ -253,12 +253,28 @@ pub struct EvaluateArgs {
     /// Scenes a look, condition and severity
     #[arg(long, value_name = "N", conflicts_with = "quick", value_parser = clap::value_parser!(u32).range(1..=100_000))]
     pub scenes: Option<u32>,
+    /// Folder of image sets for field_sets and paper_table; calibration/README.md lists what it holds
+    #[arg(long, value_name = "DIR")]
+    pub field: Option<PathBuf>,
     /// How the result is written
     #[arg(long, value_enum, default_value = "table")]
-    pub format: Format,
-    /// File that gets the result as JSON too
+    pub format: ResultsFormat,
+    /// File that gets the result as JSON too; of a file that is there, only what is evaluated is replaced
     #[arg(long, value_name = "FILE")]
     pub out: Option<PathBuf>,
+    /// Show the results in this file instead of evaluating
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["model", "quick", "reference", "drives", "hours", "scenes", "field", "out"])]
+    pub from: Option<PathBuf>,
+}
+
+/// How results are written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum ResultsFormat {
+    Table,
+    Json,
+    /// One table alone: lane_iou
+    Csv,
+    Markdown,
 }
 
 /// Keys of an evaluation.
@@ -273,6 +289,17 @@ pub enum EvaluateKey {
     /// Entries into Gap on nominal drives
     #[value(name = "false_alarms")]
     FalseAlarms,
+    /// How well each metric tells other roads' image sets from a simulation's; needs --field
+    #[value(name = "field_sets")]
+    FieldSets,
+}
+
+impl EvaluateKey {
+    /// As it is typed and written.
+    pub fn name(self) -> String {
+        let value = self.to_possible_value();
+        value.map_or_else(String::new, |value| value.get_name().to_owned())
+    }
 }
 
 /// Show a journal as one HTML file

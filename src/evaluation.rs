@@ -6,11 +6,13 @@
 
 pub mod domain_detection;
 pub mod false_alarms;
+pub mod field_sets;
 mod resampling;
+pub mod separation;
 pub mod watched;
 
 use rayon::prelude::*;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use crate::attention::{EnergyMap, Upsampler};
 use crate::encoder::{Encoder, EncoderError};
@@ -60,14 +62,14 @@ impl Setting {
 }
 
 /// How good a model is under one setting.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct LaneIou {
     /// The model.
     pub model: String,
     /// Look of the world.
-    pub look: &'static str,
+    pub look: String,
     /// Kind of condition, or `none`.
-    pub condition: &'static str,
+    pub condition: String,
     /// Its severity, 0 to 5.
     pub severity: f32,
     /// Scenes judged.
@@ -83,7 +85,7 @@ pub struct LaneIou {
 }
 
 /// How much of one tap's energy lies on lanes.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct LaneAttention {
     /// Name of the tap.
     pub tap: String,
@@ -229,8 +231,11 @@ fn summary(spec: &ModelSpec, setting: &Setting, answers: &[&Answer]) -> LaneIou 
     let taps = spec.taps.iter().enumerate();
     LaneIou {
         model: spec.name.clone(),
-        look: setting.world.look.name(),
-        condition: setting.condition.map_or("none", |c| c.kind.name()),
+        look: setting.world.look.name().to_owned(),
+        condition: setting
+            .condition
+            .map_or("none", |c| c.kind.name())
+            .to_owned(),
         severity: setting.condition.map_or(0.0, |c| c.severity),
         scenes: answers.len(),
         unjudged: answers.iter().filter(|a| !a.judged).count(),
@@ -277,7 +282,7 @@ mod tests {
         let [clear, fog] = &lane_iou(&spec, &encoder, &settings, 12, &|| {}).unwrap()[..] else {
             panic!("two settings, two answers");
         };
-        assert_eq!((clear.condition, fog.condition), ("none", "fog"));
+        assert_eq!((&*clear.condition, &*fog.condition), ("none", "fog"));
         assert!(clear.iou.unwrap() > 0.75, "{clear:?}");
         assert!(fog.iou.unwrap() < 0.8 * clear.iou.unwrap(), "{fog:?}");
         let (low, high) = clear.interval.unwrap();

@@ -1,46 +1,45 @@
 //! `gapwatch evaluate`: how accurate models and the monitor are, on fixed scenes and drives.
+//!
+//! A key is a file below: `rows` makes its results, `ABOUT` says what they mean, `sheets` shows them.
 
+mod command;
 mod domain_detection;
 mod false_alarms;
+mod field;
+mod field_sets;
 mod lane_iou;
+mod results;
+mod sheet;
 mod watched;
 
 use std::io::Write;
 
-use anyhow::{Context, bail};
+use anyhow::bail;
+use clap::ValueEnum;
 use gapwatch::encoder::Encoder;
-use gapwatch::evaluation::LaneIou;
-use gapwatch::evaluation::domain_detection::Detection;
-use gapwatch::evaluation::false_alarms::FalseAlarmRate;
 use gapwatch::model::{ModelOptions, ModelSpec};
-use gapwatch::whole_file::WholeFile;
-use serde::Serialize;
+use serde::de::DeserializeOwned;
 
-use crate::args::{EvaluateArgs, EvaluateKey, Format};
+use crate::args::{EvaluateArgs, EvaluateKey, ResultsFormat};
+use field::Field;
+use results::{Results, Row, Store};
+use sheet::Sheet;
 use watched::Watched;
 
-/// What is evaluated, under the keys of the JSON.
-#[derive(Serialize)]
-struct Results {
-    gapwatch: &'static str,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    lane_iou: Option<Vec<Row<LaneIou>>>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    domain_detection: Option<Vec<Row<Detection>>>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    false_alarms: Option<Vec<Row<FalseAlarmRate>>>,
-}
-
-#[derive(Serialize)]
-struct Row<T> {
-    #[serde(flatten)]
-    of: T,
-    default: bool,
-}
-
 pub fn run(args: &EvaluateArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
-    if args.format == Format::Csv && args.only != Some(EvaluateKey::LaneIou) {
-        bail!("--format csv is for --only lane_iou; wanted table or json");
+    if args.format == ResultsFormat::Csv && args.only != Some(EvaluateKey::LaneIou) {
+        bail!("--format csv is for --only lane_iou; wanted table, json or markdown");
+    }
+    if let Some(path) = &args.from {
+        let all = Results::read(path)?;
+        match args.only {
+            Some(key) if !all.has(key) => {
+                bail!("{}: no key {}", path.display(), key.name())
+            }
+            Some(key) => show(&all.only(key), args, out)?,
+            None => show(&all, args, out)?,
+        }
+        return Ok(0);
     }
     let wanted = |key: EvaluateKey| args.only.is_none_or(|only| only == key);
     let built_in = ModelSpec::new(None, ModelOptions::default())?;
@@ -56,53 +55,131 @@ pub fn run(args: &EvaluateArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
     } else {
         None
     };
-    let file = match &args.out {
-        Some(path) => {
-            let file = WholeFile::create(path);
-            Some((
-                file.with_context(|| format!("cannot write {}", path.display()))?,
-                path,
-            ))
+    let field = match (&args.field, args.only) {
+        (Some(folder), _) if wanted(EvaluateKey::FieldSets) => Some(Field::open(folder, args)?),
+        (None, Some(EvaluateKey::FieldSets)) => {
+            bail!("field_sets needs the image sets of other roads; wanted --field DIR")
         }
-        None => None,
+        _ => None,
     };
-    let mut results = Results {
-        gapwatch: env!("CARGO_PKG_VERSION"),
-        lane_iou: None,
-        domain_detection: None,
-        false_alarms: None,
-    };
-    if wanted(EvaluateKey::LaneIou) {
-        results.lane_iou = Some(lane_iou::rows(&models, args, &built_in)?);
+    let store = args.out.as_deref().map(Store::open).transpose()?;
+    if args.field.is_none() && args.only.is_none() {
+        log::warn!("field_sets is left out: it needs --field DIR");
     }
-    if let Some(watched) = &watched {
-        if wanted(EvaluateKey::DomainDetection) {
-            results.domain_detection = Some(domain_detection::rows(watched, args)?);
+    let mut results = Results::default();
+    for &key in EvaluateKey::value_variants() {
+        if !wanted(key) {
+            continue;
         }
-        if wanted(EvaluateKey::FalseAlarms) {
-            results.false_alarms = Some(false_alarms::rows(watched, args)?);
+        match (key, &watched, &field) {
+            (EvaluateKey::LaneIou, ..) => {
+                let rows = lane_iou::rows(&models, args, &built_in)?;
+                results.set(key, &rows, &command::made(key, args))?;
+            }
+            (EvaluateKey::DomainDetection, Some(watched), _) => {
+                let rows = domain_detection::rows(watched, args)?;
+                results.set(key, &rows, &command::made(key, args))?;
+            }
+            (EvaluateKey::FalseAlarms, Some(watched), _) => {
+                let rows = false_alarms::rows(watched, args)?;
+                results.set(key, &rows, &command::made(key, args))?;
+            }
+            (EvaluateKey::FieldSets, _, Some(field)) => {
+                let rows = field_sets::rows(field, args)?;
+                results.set(key, &rows, &command::made(key, args))?;
+            }
+            _ => continue,
         }
-    }
-    let json = serde_json::to_string_pretty(&results)? + "\n";
-    if let Some((mut file, path)) = file {
-        file.write_all(json.as_bytes())
-            .and_then(|()| file.finish())
-            .with_context(|| format!("cannot write {}", path.display()))?;
-    }
-    match args.format {
-        Format::Json => out.write_all(json.as_bytes())?,
-        Format::Csv => lane_iou::csv(results.lane_iou.as_deref().unwrap_or_default(), out)?,
-        Format::Table => {
-            if let Some(rows) = &results.lane_iou {
-                lane_iou::table(rows, out)?;
-            }
-            if let Some(rows) = &results.domain_detection {
-                domain_detection::table(rows, out)?;
-            }
-            if let Some(rows) = &results.false_alarms {
-                false_alarms::table(rows, out)?;
-            }
+        if let Some(store) = &store {
+            store.keep(key, &results)?;
         }
     }
+    if let Some(store) = store {
+        store.finish(&results)?;
+    }
+    show(&results, args, out)?;
     Ok(0)
+}
+
+/// What the rows of a key mean, and how they are shown.
+struct Page {
+    about: &'static str,
+    sheets: Vec<Sheet>,
+}
+
+/// The page of a key, if it was evaluated.
+fn page(results: &Results, key: EvaluateKey) -> anyhow::Result<Option<Page>> {
+    match key {
+        EvaluateKey::LaneIou => page_of(results, key, lane_iou::ABOUT, lane_iou::sheets),
+        EvaluateKey::DomainDetection => page_of(
+            results,
+            key,
+            domain_detection::ABOUT,
+            domain_detection::sheets,
+        ),
+        EvaluateKey::FalseAlarms => {
+            page_of(results, key, false_alarms::ABOUT, false_alarms::sheets)
+        }
+        EvaluateKey::FieldSets => page_of(results, key, field_sets::ABOUT, field_sets::sheets),
+    }
+}
+
+fn page_of<T: DeserializeOwned>(
+    results: &Results,
+    key: EvaluateKey,
+    about: &'static str,
+    sheets: fn(&[Row<T>]) -> Vec<Sheet>,
+) -> anyhow::Result<Option<Page>> {
+    let rows = results.rows(key)?;
+    Ok(rows.map(|rows| Page {
+        about,
+        sheets: sheets(&rows),
+    }))
+}
+
+fn show(results: &Results, args: &EvaluateArgs, out: &mut dyn Write) -> anyhow::Result<()> {
+    match args.format {
+        ResultsFormat::Json => out.write_all(results.to_json()?.as_bytes())?,
+        ResultsFormat::Csv => {
+            let rows = results.rows(EvaluateKey::LaneIou)?;
+            lane_iou::csv(&rows.unwrap_or_default(), out)?;
+        }
+        ResultsFormat::Table => {
+            for &key in EvaluateKey::value_variants() {
+                for sheet in page(results, key)?.iter().flat_map(|page| &page.sheets) {
+                    sheet.text(out)?;
+                }
+            }
+        }
+        ResultsFormat::Markdown => markdown(results, args, out)?,
+    }
+    Ok(())
+}
+
+fn markdown(results: &Results, args: &EvaluateArgs, out: &mut dyn Write) -> anyhow::Result<()> {
+    writeln!(out, "# Results\n")?;
+    if let Some(path) = &args.from {
+        let path = command::portable(path);
+        writeln!(
+            out,
+            "Made from `{path}` by `gapwatch evaluate --from {path} --format markdown`. Do not edit.\n"
+        )?;
+    }
+    for &key in EvaluateKey::value_variants() {
+        let Some(page) = page(results, key)? else {
+            continue;
+        };
+        writeln!(out, "## {}\n\n{}\n", key.name(), page.about)?;
+        if let Some(made) = results.made(key) {
+            writeln!(
+                out,
+                "Seeds: {}. Made by gapwatch {} with:\n\n```\n{}\n```\n",
+                made.seeds, made.gapwatch, made.command
+            )?;
+        }
+        for sheet in &page.sheets {
+            sheet.markdown(out)?;
+        }
+    }
+    Ok(())
 }

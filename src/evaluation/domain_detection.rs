@@ -1,6 +1,6 @@
 //! How soon, and how often, an event that leaves the domain is entered as `Gap`, on drives that nothing was tuned on.
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::resampling::binomial_interval;
 use super::watched::{Script, Shown};
@@ -17,7 +17,7 @@ pub const WITHIN_S: f64 = 2.0;
 /// Length of the drives.
 const SECONDS: f64 = ONSET_S + 3.0;
 /// First seed of the drives: no calibration, training or other evaluation has them.
-const FIRST_SEED: u64 = 50_001;
+pub const FIRST_SEED: u64 = 50_001;
 
 /// Something that leaves the domain.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -94,12 +94,12 @@ impl Event {
 }
 
 /// How an event was found at one rate of false alarms.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Detection {
     /// The nominal look.
-    pub nominal: &'static str,
+    pub nominal: String,
     /// Kind of condition, look, or `random`.
-    pub event: &'static str,
+    pub event: String,
     /// Of a condition, 1 to 5.
     pub severity: Option<u8>,
     /// Entries into `Gap` an hour of nominal driving that the thresholds are made for.
@@ -154,8 +154,8 @@ pub fn detection(
     #[allow(clippy::cast_precision_loss)]
     let found_share = found as f64 / all.max(1) as f64;
     Detection {
-        nominal: nominal.name(),
-        event: event.name(),
+        nominal: nominal.name().to_owned(),
+        event: event.name().to_owned(),
         severity: match event {
             Event::Condition(_, severity) => Some(severity),
             _ => None,

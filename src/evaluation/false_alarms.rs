@@ -1,6 +1,6 @@
 //! Entries into `Gap` on hours of nominal drives that nothing was tuned on.
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::watched::{Script, Shown};
 use crate::calibration::{DEMONSTRATED, DriveScores, poisson_interval};
@@ -11,7 +11,7 @@ const FPS: f64 = 2.0;
 /// Length of a drive, seconds.
 pub const DRIVE_S: f64 = 300.0;
 /// First seed of the drives.
-const FIRST_SEED: u64 = 100_001;
+pub const FIRST_SEED: u64 = 100_001;
 
 /// The nominal drive of a number.
 pub fn script(nominal: Look, number: u64, seconds: f64) -> Script {
@@ -30,10 +30,10 @@ pub fn script(nominal: Look, number: u64, seconds: f64) -> Script {
 }
 
 /// False alarms at thresholds made for a rate.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct FalseAlarmRate {
     /// The nominal look.
-    pub nominal: &'static str,
+    pub nominal: String,
     /// Entries an hour that the thresholds are made for.
     pub wanted: f64,
     /// Entries an hour found.
@@ -61,7 +61,7 @@ pub fn rate(nominal: Look, drives: &[DriveScores], wanted: f64, factor: f64) -> 
     #[allow(clippy::cast_precision_loss)]
     let measured = entries as f64 / hours.max(f64::MIN_POSITIVE);
     FalseAlarmRate {
-        nominal: nominal.name(),
+        nominal: nominal.name().to_owned(),
         wanted,
         measured,
         bound,

@@ -3,24 +3,31 @@
 use crate::lane::Overlap;
 
 /// Resamples drawn for an interval: the ends of a 95 % interval then rest on 25 each.
-const ROUNDS: usize = 1_000;
+pub const ROUNDS: usize = 1_000;
 
 /// 95 % percentile interval of the pooled intersection over union, from resampling scenes with replacement; the same for
 /// the same scenes on every machine. `None` when no resample holds any lane.
 pub fn interval(scenes: &[Overlap]) -> Option<(f64, f64)> {
     let mut dice = SplitMix64(0);
-    let mut ious: Vec<f64> = (0..ROUNDS)
+    let ious = (0..ROUNDS)
         .filter_map(|_| Overlap::iou((0..scenes.len()).map(|_| scenes[dice.below(scenes.len())])))
         .collect();
-    ious.sort_by(f64::total_cmp);
-    let (low, high) = (ious.len() * 25 / 1_000, ious.len() * 975 / 1_000);
-    Some((*ious.get(low)?, *ious.get(high.saturating_sub(1))?))
+    percentile_interval(ious)
 }
+
+/// 95 % percentile interval of what resamples gave; `None` of none.
+pub fn percentile_interval(mut values: Vec<f64>) -> Option<(f64, f64)> {
+    values.sort_by(f64::total_cmp);
+    let (low, high) = (values.len() * 25 / 1_000, values.len() * 975 / 1_000);
+    Some((*values.get(low)?, *values.get(high.saturating_sub(1))?))
+}
+
+/// Standard normal deviate that 2.5 % lie above.
+pub const Z: f64 = 1.959_963_985;
 
 /// 95 % interval of a share (Wilson 1927).
 #[allow(clippy::cast_precision_loss)]
 pub fn binomial_interval(found: u64, all: u64) -> (f64, f64) {
-    const Z: f64 = 1.959_963_985;
     if all == 0 {
         return (0.0, 1.0);
     }
@@ -48,6 +55,15 @@ impl SplitMix64 {
         self.next().to_be_bytes()[0]
     }
 
+    /// How often each of `count` things comes when as many are drawn with replacement.
+    pub fn multiplicities(&mut self, count: usize) -> Vec<u32> {
+        let mut times = vec![0; count];
+        for _ in 0..count {
+            times[self.below(count)] += 1;
+        }
+        times
+    }
+
     fn next(&mut self) -> u64 {
         self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
         let mut z = self.0;
@@ -57,7 +73,7 @@ impl SplitMix64 {
     }
 
     /// Uniform from 0 to below `limit`.
-    fn below(&mut self, limit: usize) -> usize {
+    pub fn below(&mut self, limit: usize) -> usize {
         // The high half of a 64 by 64 bit product is below `limit`.
         #[allow(clippy::cast_possible_truncation)]
         {

@@ -1,14 +1,17 @@
 //! False alarms on nominal drives: rows and table.
 
-use std::io::Write;
-
 use gapwatch::evaluation::false_alarms::{self, FalseAlarmRate};
 use gapwatch::evaluation::watched::{Script, scores_of};
 
 use super::super::progress;
-use super::Row;
+use super::results::Row;
+use super::sheet::Sheet;
 use super::watched::Watched;
 use crate::args::EvaluateArgs;
+
+/// What the rows mean.
+pub const ABOUT: &str = "Entries into `Gap` on nominal drives that nothing was tuned on, at thresholds made for a wanted \
+    rate. Intervals are exact (Poisson). A rate is demonstrated when the hours are at least three times its inverse.";
 
 /// Hours of nominal drives of the full evaluation.
 const HOURS: u32 = 24;
@@ -49,25 +52,37 @@ pub fn rows(watched: &Watched, args: &EvaluateArgs) -> anyhow::Result<Vec<Row<Fa
         .collect()
 }
 
-pub fn table(rows: &[Row<FalseAlarmRate>], out: &mut dyn Write) -> anyhow::Result<()> {
+/// One table: a row a wanted rate.
+pub fn sheets(rows: &[Row<FalseAlarmRate>]) -> Vec<Sheet> {
+    let mut sheet = Sheet::new(
+        "False alarms an hour on nominal drives".to_owned(),
+        [
+            "nominal",
+            "wanted",
+            "measured",
+            "95 % interval",
+            "entries",
+            "hours",
+            "drives",
+            "verdict",
+        ],
+    );
     for Row { of, .. } in rows {
-        writeln!(
-            out,
-            "{} false alarms an hour wanted (nominal: {}): {} in {:.1} h of {} drives, {:.2} an hour ({:.2} to {:.2}){}",
-            of.wanted,
-            of.nominal,
-            of.entries,
-            of.hours,
-            of.drives,
-            of.measured,
-            of.bound.0,
-            of.bound.1,
-            match (of.demonstrated, of.kept) {
-                (false, _) => ": not demonstrated, too few hours",
-                (true, true) => ": kept",
-                (true, false) => ": not kept",
-            }
-        )?;
+        let verdict = match (of.demonstrated, of.kept) {
+            (false, _) => "not demonstrated, too few hours",
+            (true, true) => "kept",
+            (true, false) => "not kept",
+        };
+        sheet.rows.push(vec![
+            of.nominal.clone(),
+            of.wanted.to_string(),
+            format!("{:.2}", of.measured),
+            format!("{:.2} to {:.2}", of.bound.0, of.bound.1),
+            of.entries.to_string(),
+            format!("{:.1}", of.hours),
+            of.drives.to_string(),
+            verdict.to_owned(),
+        ]);
     }
-    Ok(())
+    vec![sheet]
 }

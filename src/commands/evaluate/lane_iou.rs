@@ -10,8 +10,14 @@ use gapwatch::model::{ModelOptions, ModelSpec};
 use gapwatch::scene::{ConditionKind, Look};
 
 use super::super::progress;
-use super::Row;
+use super::results::Row;
+use super::sheet::{Sheet, with_interval};
 use crate::args::EvaluateArgs;
+
+/// What the rows mean.
+pub const ABOUT: &str = "Intersection over union of the lane model's answer with the true lane lines, pooled over all \
+    pixels of scenes that no training has seen: plain day in the title, conditions below. Intervals are 95 %, resampling \
+    scenes.";
 
 /// Scenes a setting of the full evaluation, and of the quick one.
 const SCENES: (u32, u32) = (100, 6);
@@ -88,9 +94,10 @@ pub fn csv(rows: &[Row<LaneIou>], out: &mut dyn Write) -> anyhow::Result<()> {
 }
 
 /// A table a model and look: conditions down, severities across; then where the encoder looks in plain day.
-pub fn table(rows: &[Row<LaneIou>], out: &mut dyn Write) -> anyhow::Result<()> {
+pub fn sheets(rows: &[Row<LaneIou>]) -> Vec<Sheet> {
     let mut models: Vec<&str> = rows.iter().map(|row| row.of.model.as_str()).collect();
     models.dedup();
+    let mut sheets = Vec::new();
     for model in models {
         for look in Look::ALL.map(Look::name) {
             let of = |condition: &str, severity: f32| {
@@ -104,47 +111,37 @@ pub fn table(rows: &[Row<LaneIou>], out: &mut dyn Write) -> anyhow::Result<()> {
             let Some(plain) = of("none", 0.0) else {
                 continue;
             };
-            writeln!(
-                out,
-                "{model}, look {look}: lane IoU {} on {} scenes",
-                with_interval(plain),
+            let title = match plain.iou {
+                Some(iou) => with_interval(iou, plain.interval, 3),
+                None => "undefined (no lane at all)".to_owned(),
+            };
+            let title = format!(
+                "{model}, look {look}: lane IoU {title} on {} scenes",
                 plain.scenes
-            )?;
+            );
+            let mut sheet = Sheet::new(title, ["severity", "1", "2", "3", "4", "5"]);
+            for kind in ConditionKind::ALL.map(ConditionKind::name) {
+                let cells = (1..=5_u8).map(|severity| {
+                    let iou = of(kind, f32::from(severity)).and_then(|of| of.iou);
+                    iou.map_or_else(|| "-".to_owned(), |iou| format!("{iou:.3}"))
+                });
+                sheet
+                    .rows
+                    .push(std::iter::once(kind.to_owned()).chain(cells).collect());
+            }
             for tap in &plain.attention {
                 if let (Some(peak), Some(on), Some(lift)) =
                     (tap.peak_energy, tap.on_lanes, tap.lift)
                 {
-                    writeln!(
-                        out,
-                        "  {}: median peak energy {peak:.1}, {:.1} % of the energy on lanes, {lift:.1} times their share of the picture",
+                    sheet.notes.push(format!(
+                        "{}: median peak energy {peak:.1}, {:.1} % of the energy on lanes, {lift:.1} times their share of the picture",
                         tap.tap,
                         100.0 * on
-                    )?;
+                    ));
                 }
             }
-            writeln!(
-                out,
-                "  {:<10}{:>8}{:>8}{:>8}{:>8}{:>8}",
-                "severity", 1, 2, 3, 4, 5
-            )?;
-            for kind in ConditionKind::ALL.map(ConditionKind::name) {
-                write!(out, "  {kind:<10}")?;
-                for severity in 1..=5_u8 {
-                    let iou = of(kind, f32::from(severity)).and_then(|of| of.iou);
-                    let text = iou.map_or_else(|| "-".to_owned(), |iou| format!("{iou:.3}"));
-                    write!(out, "{text:>8}")?;
-                }
-                writeln!(out)?;
-            }
-            writeln!(out)?;
+            sheets.push(sheet);
         }
     }
-    Ok(())
-}
-
-fn with_interval(of: &LaneIou) -> String {
-    match (of.iou, of.interval) {
-        (Some(iou), Some((low, high))) => format!("{iou:.3} ({low:.3} to {high:.3})"),
-        _ => "undefined (no lane at all)".to_owned(),
-    }
+    sheets
 }
