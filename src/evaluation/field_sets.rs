@@ -14,7 +14,7 @@ use serde::{Deserialize, Serialize};
 use super::separation::separation;
 use crate::attention::EnergyMap;
 use crate::calibration::{PaperBinning, TapHistogram, median};
-use crate::gap::moments::{self, ChannelNorm, Moments};
+use crate::gap::moments::{self, EnergyNorm, Moments};
 use crate::gap::{Metric, frechet};
 use crate::reference::{Nominal, SPREAD_MIN};
 use crate::survey::Survey;
@@ -126,7 +126,7 @@ pub fn rows(
     taps: &[String],
     seen: &(dyn Fn() + Sync),
 ) -> Result<Vec<FieldSetRow>, FieldSetError> {
-    let metrics = Metric::all();
+    let metrics = Metric::of_sets();
     let kinds: Vec<&[Metric]> = kinds(&metrics).collect();
     let jobs: Vec<(&[Metric], usize)> = kinds
         .iter()
@@ -159,7 +159,7 @@ pub fn rows(
 
 /// How often `seen` is called for a model with so many taps.
 pub fn steps(taps: usize) -> usize {
-    kinds(&Metric::all()).count() * taps
+    kinds(&Metric::of_sets()).count() * taps
 }
 
 /// Metrics that take the same of a frame.
@@ -223,7 +223,7 @@ impl Kind {
         if metric == Metric::Frechet {
             let activations = frames().map(|frame| {
                 let frame = frame.as_ref().map_err(Undefined::clone)?;
-                Ok(frame.channels[tap].activation.clone())
+                Ok(frame.means[tap].activation.clone())
             });
             return Ok(Self::Activations(activations.collect::<Result<_, _>>()?));
         }
@@ -232,12 +232,12 @@ impl Kind {
             for frame in frames() {
                 let frame = frame.as_ref().map_err(Undefined::clone)?;
                 peaks.push(frame.peaks[tap]);
-                energies.push(frame.channels[tap].energy.as_slice());
+                energies.push(frame.means[tap].energy.as_slice());
             }
             let epsilon = moments::EPSILON_SHARE * median(peaks).unwrap_or(1.0);
             let moments = Moments::of(energies.into_iter(), epsilon);
-            let norm = ChannelNorm::fit(epsilon, &moments, None)?;
-            return Ok(Self::Sums(Nominal::Channels(norm)));
+            let norm = EnergyNorm::fit(epsilon, &moments, None)?;
+            return Ok(Self::Sums(Nominal::Energies(norm)));
         }
         let mut maps = Vec::new();
         for (index, recording) in reference.recordings.iter().enumerate() {
@@ -266,25 +266,25 @@ impl Kind {
                 let frames = survey.frames.iter();
                 frames
                     .map(|frame| match frame {
-                        Ok(seen) => Ok(Taken::Activation(seen.channels[tap].activation.clone())),
+                        Ok(seen) => Ok(Taken::Activation(seen.means[tap].activation.clone())),
                         Err(why) => Err(why.clone()),
                     })
                     .collect()
             }
-            Self::Sums(nominal @ Nominal::Channels(_)) => {
+            Self::Sums(nominal @ Nominal::Energies(_)) => {
                 let nothing = EnergyMap::default();
                 let frames = survey.frames.iter();
                 frames
                     .map(|frame| {
                         let seen = frame.as_ref().map_err(Undefined::clone)?;
                         let mut numbers = vec![0; nominal.len()];
-                        nominal.take(&nothing, &seen.channels[tap], &mut numbers)?;
+                        nominal.take(&nothing, &seen.means[tap], &mut numbers)?;
                         Ok(Taken::Numbers(numbers))
                     })
                     .collect()
             }
             Self::Sums(nominal) => {
-                let nothing = crate::energies::ChannelMeans::default();
+                let nothing = crate::energies::BlockMeans::default();
                 let maps = survey.common_maps(tap);
                 maps.map(|map| {
                     let mut numbers = vec![0; nominal.len()];
