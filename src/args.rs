@@ -289,6 +289,9 @@ pub enum EvaluateKey {
     /// Entries into Gap on nominal drives
     #[value(name = "false_alarms")]
     FalseAlarms,
+    /// Whether the gap foretells that the lane model fails, by metric and baseline
+    #[value(name = "lane_failure")]
+    LaneFailure,
     /// How well each metric tells other roads' image sets from a simulation's; needs --field
     #[value(name = "field_sets")]
     FieldSets,

@@ -264,7 +264,7 @@ pub struct LabelledMeans {
 /// Makes the nominal domains of a reference and the thresholds that keep the wanted rate of false alarms.
 ///
 /// Every second drive of each domain makes histograms or moments, the others scale the gaps of windows. The rate is set on
-/// every second drive of `held_out` and judged on the others; without any, the drives that scale the gaps serve for both,
+/// three of every four drives of `held_out` and judged on the fourth; without any, the drives that scale the gaps serve for both,
 /// and the reference says so. `labelled` frames are for the metric `lane-risk` alone.
 ///
 /// # Errors

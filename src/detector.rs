@@ -37,7 +37,7 @@ pub struct BlockScore {
 /// What the window says.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Evidence {
-    /// The largest score of the blocks.
+    /// The largest score of the blocks that decide.
     pub score: f64,
     /// One entry a tap, against the nearest nominal domain.
     pub blocks: heapless::Vec<BlockScore, TAPS_MAX>,
@@ -184,7 +184,8 @@ impl Detector {
             let (own, rest) = sums.split_at(len);
             sums = rest;
             let blocks = self.blocks(component, own)?;
-            let score = blocks
+            let deciding = self.metric.deciding(blocks.len());
+            let score = blocks[deciding]
                 .iter()
                 .map(|block| block.score)
                 .fold(f64::NEG_INFINITY, f64::max);

@@ -7,6 +7,7 @@
 pub mod domain_detection;
 pub mod false_alarms;
 pub mod field_sets;
+pub mod lane_failure;
 mod resampling;
 pub mod separation;
 pub mod watched;

@@ -10,6 +10,7 @@ mod pearson;
 mod wasserstein;
 
 use std::fmt;
+use std::ops::Range;
 use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
@@ -124,6 +125,15 @@ impl Metric {
         let mut all = Self::all();
         all.retain(|&metric| metric != Self::LaneRisk);
         all
+    }
+
+    /// The blocks whose largest score decides, of `blocks` tapped ones: all; of the forecast the last one, whose rank
+    /// correlation with the loss is 0.91 alone, against 0.86 of the first (study on 16 rendered drives a condition).
+    pub fn deciding(self, blocks: usize) -> Range<usize> {
+        match self {
+            Self::LaneRisk => blocks.saturating_sub(1)..blocks,
+            _ => 0..blocks,
+        }
     }
 
     /// How its histograms are compared; `None` of a metric that counts none.

@@ -23,6 +23,9 @@ const FEW_DRIVES_MARGIN: f64 = 1.5;
 /// Hours times rate that demonstrate a rate when nothing happens in them (rule of three).
 pub const DEMONSTRATED: f64 = 3.0;
 
+/// One drive of so many judges the rate that the others set: a rate of one in so many hours is set badly on fewer.
+const JUDGE_EVERY: usize = 4;
+
 /// Rates, entries an hour, whose factors a reference keeps beside the one asked for.
 const RATES_PER_HOUR: [f64; 3] = [10.0, 1.0, 0.1];
 
@@ -41,6 +44,14 @@ impl DriveScores {
     /// Adds a frame that cannot be judged.
     pub fn add_unjudged(&mut self, at: Duration, reason: Reason) {
         self.frames.push((at, Judgement::Cannot(reason)));
+    }
+
+    /// Every frame's score; `None` of one that could not be judged.
+    pub fn scores(&self) -> impl Iterator<Item = (Duration, Option<f64>)> + '_ {
+        self.frames.iter().map(|&(at, seen)| match seen {
+            Judgement::Score { score, .. } => (at, Some(score)),
+            _ => (at, None),
+        })
     }
 
     /// Length of the drive, hours: the last frame lasts as long as the one before.
@@ -91,7 +102,8 @@ fn factor(index: i32) -> f64 {
     FACTOR_MIN * FACTOR_STEP.powi(index)
 }
 
-/// The factor for a wanted rate, and the rate that it keeps on other drives: every second drive sets it, the others judge.
+/// The factor for a wanted rate, and the rate that it keeps on other drives: of every four drives three set it and one
+/// judges.
 /// `optimistic`: the drives have also scaled the gaps, so all of them set the factor and none is left to judge it.
 #[allow(clippy::cast_precision_loss)]
 pub(super) fn calibrated(
@@ -101,7 +113,7 @@ pub(super) fn calibrated(
 ) -> FalseAlarms {
     let (mut choose, mut judge) = (Vec::new(), Vec::new());
     for (index, drive) in drives.iter().enumerate() {
-        if optimistic || index % 2 == 0 {
+        if optimistic || index % JUDGE_EVERY != JUDGE_EVERY - 1 {
             choose.push(drive)
         } else {
             judge.push(drive)
@@ -288,12 +300,12 @@ mod tests {
         for wanted in [1.0, 5.0] {
             let found = calibrated(&drives, wanted, false);
             let judged = found.judged_on.unwrap();
-            assert_eq!(judged.drives, 300);
+            assert_eq!(judged.drives, 150);
             let (low, high) = judged.per_hour;
             assert!(low <= wanted && wanted <= high, "{wanted}: {judged:?}");
             assert_eq!(found.missing, None);
         }
         let few = calibrated(&drives[..8], 1.0, false);
-        assert!(few.missing.unwrap().contains("2.9 hours"));
+        assert!(few.missing.unwrap().contains("3.0 hours"));
     }
 }

@@ -7,6 +7,7 @@ mod domain_detection;
 mod false_alarms;
 mod field;
 mod field_sets;
+mod lane_failure;
 mod lane_iou;
 mod results;
 mod sheet;
@@ -62,6 +63,11 @@ pub fn run(args: &EvaluateArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
         }
         _ => None,
     };
+    let failing = if wanted(EvaluateKey::LaneFailure) {
+        Some(lane_failure::Judged::open(&args.model)?)
+    } else {
+        None
+    };
     let store = args.out.as_deref().map(Store::open).transpose()?;
     if args.field.is_none() && args.only.is_none() {
         log::warn!("field_sets is left out: it needs --field DIR");
@@ -82,6 +88,11 @@ pub fn run(args: &EvaluateArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
             }
             (EvaluateKey::FalseAlarms, Some(watched), _) => {
                 let rows = false_alarms::rows(watched, args)?;
+                results.set(key, &rows, &command::made(key, args))?;
+            }
+            (EvaluateKey::LaneFailure, ..) => {
+                let Some(failing) = &failing else { continue };
+                let rows = lane_failure::rows(failing, args)?;
                 results.set(key, &rows, &command::made(key, args))?;
             }
             (EvaluateKey::FieldSets, _, Some(field)) => {
@@ -119,6 +130,9 @@ fn page(results: &Results, key: EvaluateKey) -> anyhow::Result<Option<Page>> {
         ),
         EvaluateKey::FalseAlarms => {
             page_of(results, key, false_alarms::ABOUT, false_alarms::sheets)
+        }
+        EvaluateKey::LaneFailure => {
+            page_of(results, key, lane_failure::ABOUT, lane_failure::sheets)
         }
         EvaluateKey::FieldSets => page_of(results, key, field_sets::ABOUT, field_sets::sheets),
     }

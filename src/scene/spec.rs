@@ -25,6 +25,20 @@ pub struct DriveSpec {
     pub conditions: Vec<Condition>,
 }
 
+impl Default for DriveSpec {
+    /// What holds for all that a user leaves out.
+    fn default() -> Self {
+        Self {
+            world: World::default(),
+            seed: 1,
+            seconds: 60.0,
+            fps: 10.0,
+            size_px: SIZE_PX,
+            conditions: Vec::new(),
+        }
+    }
+}
+
 impl DriveSpec {
     /// Frames of the whole drive.
     pub fn frames(&self) -> u64 {
@@ -60,11 +74,7 @@ impl FromStr for DriveSpec {
         let (name, parameters) = text.split_once('?').unwrap_or((text, ""));
         let mut spec = Self {
             world: World::of(name.parse::<Look>()?),
-            seed: 1,
-            seconds: 60.0,
-            fps: 10.0,
-            size_px: SIZE_PX,
-            conditions: Vec::new(),
+            ..Self::default()
         };
         for parameter in parameters.split('&').filter(|p| !p.is_empty()) {
             let wrong = || SpecError::Parameter(parameter.to_owned());

@@ -5,8 +5,8 @@ use std::path::Path;
 use gapwatch::evaluation::{SCENE_SET, domain_detection, false_alarms};
 use gapwatch::scene::Look;
 
-use super::field_sets;
 use super::results::Made;
+use super::{field_sets, lane_failure};
 use crate::args::{EvaluateArgs, EvaluateKey};
 
 /// How the folder of image sets is named, wherever it lies.
@@ -20,6 +20,7 @@ pub fn made(key: EvaluateKey, args: &EvaluateArgs) -> Made {
             format!("drives {} and on", domain_detection::FIRST_SEED)
         }
         EvaluateKey::FalseAlarms => format!("drives {} and on", false_alarms::FIRST_SEED),
+        EvaluateKey::LaneFailure => lane_failure::seeds(args.quick),
         EvaluateKey::FieldSets => field_sets::seeds(args.quick),
     };
     Made {
@@ -43,6 +44,7 @@ fn command(key: EvaluateKey, args: &EvaluateArgs) -> String {
         EvaluateKey::LaneIou => number("scenes", args.scenes),
         EvaluateKey::DomainDetection => number("drives", args.drives),
         EvaluateKey::FalseAlarms => number("hours", args.hours),
+        EvaluateKey::LaneFailure => None,
         EvaluateKey::FieldSets => Some(FIELD.to_owned()),
     });
     if matches!(key, EvaluateKey::DomainDetection | EvaluateKey::FalseAlarms) {
