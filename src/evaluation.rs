@@ -24,6 +24,7 @@ use crate::model::ModelSpec;
 use crate::scene::{Condition, ConditionKind, Drive, Look, Renderer, World, scene_moment};
 use crate::undefined::Undefined;
 
+pub use resampling::binomial_interval;
 use resampling::interval;
 
 /// The scene set that models are judged on; training, validation and test of the trainer have others.

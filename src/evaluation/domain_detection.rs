@@ -87,6 +87,8 @@ impl Event {
     /// From when on an entry counts, seconds.
     fn begins_s(self) -> f64 {
         match self {
+            // Its portal is in sight for longer than the drive before it is reached.
+            Self::Condition(ConditionKind::Tunnel, _) => 0.0,
             Self::Condition(..) => ONSET_S - crate::scene::RAMP_S,
             Self::Look(_) | Self::Noise => ONSET_S,
         }

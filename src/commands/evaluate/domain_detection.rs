@@ -1,8 +1,9 @@
 //! How soon events are found: rows and table.
 
+use gapwatch::evaluation::binomial_interval;
 use gapwatch::evaluation::domain_detection::{Detection, Event, WITHIN_S, detection};
 use gapwatch::evaluation::watched::{Script, scores_of};
-use gapwatch::scene::ConditionKind;
+use gapwatch::scene::{ConditionKind, Look};
 
 use super::super::progress;
 use super::results::Row;
@@ -51,29 +52,74 @@ pub fn rows(watched: &Watched, args: &EvaluateArgs) -> anyhow::Result<Vec<Row<De
     Ok(rows)
 }
 
-/// A table a rate: found shares, conditions down and severities across.
+/// A table a rate of found shares, conditions down and severities across, and one of how long it took.
 pub fn sheets(rows: &[Row<Detection>]) -> Vec<Sheet> {
-    RATES
-        .into_iter()
-        .filter_map(|rate| sheet(rows, rate))
-        .collect()
+    let mut sheets = Vec::new();
+    for rate in RATES {
+        let of_rate: Vec<&Detection> = rows
+            .iter()
+            .map(|row| &row.of)
+            .filter(|of| of.false_alarms_per_hour.total_cmp(&rate).is_eq())
+            .collect();
+        if let Some(first) = of_rate.first() {
+            sheets.push(found(first, &of_rate));
+            sheets.push(delays(first, &of_rate));
+        }
+    }
+    sheets
 }
 
-fn sheet(rows: &[Row<Detection>], rate: f64) -> Option<Sheet> {
-    let of_rate: Vec<&Detection> = rows
-        .iter()
-        .map(|row| &row.of)
-        .filter(|of| of.false_alarms_per_hour.total_cmp(&rate).is_eq())
-        .collect();
-    let first = of_rate.first()?;
+// Counts of drives are small.
+#[allow(clippy::cast_precision_loss)]
+fn found(first: &Detection, of_rate: &[&Detection]) -> Sheet {
     let title = format!(
-        "Entered as Gap within {WITHIN_S} s, per cent of {} drives each, at {rate} false alarms an hour (nominal: {})",
-        first.drives, first.nominal
+        "Entered as Gap within {WITHIN_S} s, per cent of {} drives each, at {} false alarms an hour (nominal: {})",
+        first.drives, first.false_alarms_per_hour, first.nominal
     );
+    let mut sheet = by_severity(title, of_rate, |of| {
+        format!("{:.0}", 100.0 * of.found_share)
+    });
+    let severe: Vec<&&Detection> = of_rate.iter().filter(|of| is_severe(of)).collect();
+    let sum = |count: fn(&Detection) -> u64| severe.iter().map(|of| count(of)).sum::<u64>();
+    let (hits, all) = (sum(|of| of.found), sum(|of| of.drives));
+    let (low, high) = binomial_interval(hits, all);
+    sheet.notes.push(format!(
+        "Severity 3 and above, the other look and noise together: {hits} of {all}, {:.1} % ({:.1} to {:.1}); {} missed, \
+         {} SensorFault instead, {} in Gap before.",
+        100.0 * hits as f64 / all.max(1) as f64,
+        100.0 * low,
+        100.0 * high,
+        sum(|of| of.missed),
+        sum(|of| of.sensor_fault),
+        sum(|of| of.alarmed_before),
+    ));
+    sheet
+}
+
+/// What must be found: not the adapted look, which plays the simulation that was made to look real.
+fn is_severe(of: &Detection) -> bool {
+    of.severity.is_none_or(|severity| severity >= 3) && of.event != Look::Realistic.name()
+}
+
+fn delays(first: &Detection, of_rate: &[&Detection]) -> Sheet {
+    let title = format!(
+        "Seconds from onset to Gap at {} false alarms an hour, median and longest of those found (conditions grow for 2 s \
+         before their onset)",
+        first.false_alarms_per_hour
+    );
+    by_severity(title, of_rate, |of| {
+        match (of.delay_median_s, of.delay_max_s) {
+            (Some(median), Some(max)) => format!("{median:.1}, {max:.1}"),
+            _ => "-".to_owned(),
+        }
+    })
+}
+
+fn by_severity(title: String, of_rate: &[&Detection], cell: fn(&Detection) -> String) -> Sheet {
     let mut sheet = Sheet::new(title, ["severity", "1", "2", "3", "4", "5"]);
-    let cell = |of: &&Detection| format!("{:.0}", 100.0 * of.found_share);
     for kind in ConditionKind::ALL.map(ConditionKind::name) {
-        let cells = of_rate.iter().filter(|of| of.event == kind).map(cell);
+        let cells = of_rate.iter().filter(|of| of.event == kind);
+        let cells = cells.map(|of| cell(of));
         sheet
             .rows
             .push(std::iter::once(kind.to_owned()).chain(cells).collect());
@@ -83,14 +129,5 @@ fn sheet(rows: &[Row<Detection>], rate: f64) -> Option<Sheet> {
         cells.resize(6, String::new());
         sheet.rows.push(cells);
     }
-    let severe = of_rate
-        .iter()
-        .filter(|of| of.severity.is_none_or(|s| s >= 3));
-    let (found, all) = severe.fold((0, 0), |(found, all), of| {
-        (found + of.found, all + of.drives)
-    });
-    sheet.notes.push(format!(
-        "Severity 3 and above, looks and noise together: {found} of {all}."
-    ));
-    Some(sheet)
+    sheet
 }
