@@ -24,8 +24,10 @@ use crate::reference::Component;
 use crate::scene::{Condition, ConditionKind, DriveSpec, RAMP_S};
 use crate::survey::{Keep, Survey, SurveyFrame};
 
-/// Frames a second of all drives.
-const FPS: f64 = 2.0;
+/// Frames a second of drives.
+const FPS: f64 = 5.0;
+/// Frames a second of the hours of nominal drives that set and judge thresholds.
+const HELD_OUT_FPS: f64 = 2.0;
 /// The condition has its severity from here, having grown for 2 s.
 const FULL_S: f64 = 8.0;
 /// It is gone here, having faded for 2 s.
@@ -64,20 +66,20 @@ pub struct Sizes {
 }
 
 impl Sizes {
-    /// The full evaluation: 8 hours of nominal drives, 600 drives with conditions.
+    /// The full evaluation: 6 hours of nominal drives, 500 drives with conditions.
     pub const FULL: Self = Self {
         fitted: 600,
-        held_out: 96,
+        held_out: 72,
         held_out_s: 300.0,
         labelled: 40,
-        roads: 12,
+        roads: 10,
     };
     /// A look at whether it works.
     pub const QUICK: Self = Self {
-        fitted: 40,
-        held_out: 8,
-        held_out_s: 20.0,
-        labelled: 2,
+        fitted: 30,
+        held_out: 6,
+        held_out_s: 10.0,
+        labelled: 1,
         roads: 1,
     };
 
@@ -321,16 +323,16 @@ impl Looked {
             seen();
             Ok::<_, EncoderError>(drive)
         };
-        let nominal = |first: u64, count: u64, seconds: f64| {
+        let nominal = |first: u64, count: u64, seconds: f64, fps: f64| {
             (first..first + count)
                 .into_par_iter()
-                .map(|seed| look(&drive_spec(seed, seconds)))
+                .map(|seed| look(&drive_spec(seed, seconds, fps)))
                 .collect::<Result<Vec<_>, _>>()
         };
         let labelled_drives: Vec<DriveSpec> = (labelled..labelled + sizes.labelled)
-            .map(|seed| drive_spec(seed, 4.0))
+            .map(|seed| drive_spec(seed, 4.0, HELD_OUT_FPS))
             .collect();
-        let clean = nominal(judged, sizes.roads, DRIVE_S)?;
+        let clean = nominal(judged, sizes.roads, DRIVE_S, FPS)?;
         let cases: Vec<(usize, Condition)> = (0..clean.len())
             .flat_map(|road| {
                 let kinds = ConditionKind::ALL.into_iter();
@@ -349,7 +351,7 @@ impl Looked {
         let judged = cases
             .into_par_iter()
             .map(|(road, condition)| {
-                let mut spec = drive_spec(judged + road as u64, DRIVE_S);
+                let mut spec = drive_spec(judged + road as u64, DRIVE_S, FPS);
                 spec.conditions.push(condition);
                 let drive = look(&spec)?;
                 Ok(Judged::new(road, condition.kind, drive, &clean[road]))
@@ -357,8 +359,8 @@ impl Looked {
             .collect::<Result<Vec<_>, EncoderError>>()?;
         Ok(Self {
             taps: taps.to_vec(),
-            fitted: nominal(fitted, sizes.fitted, 2.0)?,
-            held_out: nominal(held_out, sizes.held_out, sizes.held_out_s)?,
+            fitted: nominal(fitted, sizes.fitted, 2.0, FPS)?,
+            held_out: nominal(held_out, sizes.held_out, sizes.held_out_s, HELD_OUT_FPS)?,
             labelled: training_frames(&labelled_drives, encoder, preprocessing, seen)?,
             judged,
         })
@@ -441,11 +443,11 @@ impl Looked {
     }
 }
 
-fn drive_spec(seed: u64, seconds: f64) -> DriveSpec {
+fn drive_spec(seed: u64, seconds: f64, fps: f64) -> DriveSpec {
     DriveSpec {
         seed,
         seconds,
-        fps: FPS,
+        fps,
         ..DriveSpec::default()
     }
 }
