@@ -8,6 +8,7 @@
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
+use super::domain_detection::WITHIN_S;
 use super::resampling::{ROUNDS, SplitMix64, binomial_interval, percentile_interval};
 use crate::alarm::AlarmState;
 use crate::calibration::{
@@ -42,6 +43,8 @@ const AFTER_S: f64 = 1.0;
 const FAILURE: f64 = 0.5;
 /// Loss of lane IoU over the whole condition up to which a shift is benign.
 const BENIGN: f64 = 0.1;
+/// Severity from which on a condition is to be found, failure or not.
+const SEVERE: f32 = 3.0;
 /// Length of the window, seconds.
 const WINDOW_S: f64 = 1.0;
 /// Entries into `Gap` an hour of nominal driving at which all are compared.
@@ -138,6 +141,12 @@ pub struct LaneFailure {
     pub benign_share: Option<f64>,
     /// 95 % interval (Wilson).
     pub benign_interval: (f64, f64),
+    /// Drives under a condition of severity 3 or more.
+    pub severe: u64,
+    /// Those in which `Gap` was entered from the condition's beginning to 2 s after it had its severity, failure or not.
+    pub severe_found: u64,
+    /// 95 % interval of their share (Wilson).
+    pub severe_interval: (f64, f64),
     /// Entries into `Gap` on the nominal drives that judge.
     pub false_alarms: u64,
     /// Their hours.
@@ -171,7 +180,7 @@ struct Looked {
 /// A drive with a condition.
 struct Judged {
     road: usize,
-    kind: ConditionKind,
+    condition: Condition,
     drive: LabelledSurvey,
     /// Loss of each second; `None` where the lanes are too faint in plain day.
     losses: Vec<Option<f64>>,
@@ -354,7 +363,7 @@ impl Looked {
                 let mut spec = drive_spec(judged + road as u64, DRIVE_S, FPS);
                 spec.conditions.push(condition);
                 let drive = look(&spec)?;
-                Ok(Judged::new(road, condition.kind, drive, &clean[road]))
+                Ok(Judged::new(road, condition, drive, &clean[road]))
             })
             .collect::<Result<Vec<_>, EncoderError>>()?;
         Ok(Self {
@@ -387,7 +396,7 @@ impl Looked {
         let mut drives: Vec<(&Judged, DriveScores, usize)> = Vec::new();
         for (index, (kind, judge)) in judges.iter().enumerate() {
             for judged in &self.judged {
-                if kind.is_none_or(|kind| kind == judged.kind) {
+                if kind.is_none_or(|kind| kind == judged.condition.kind) {
                     let view = method.survey(&judged.drive);
                     let scores = drive_scores(&view, metric, WINDOW_S, &judge.components);
                     drives.push((judged, scores, index));
@@ -489,7 +498,7 @@ impl Judge {
 impl Judged {
     fn new(
         road: usize,
-        kind: ConditionKind,
+        condition: Condition,
         drive: LabelledSurvey,
         clean: &LabelledSurvey,
     ) -> Self {
@@ -515,7 +524,7 @@ impl Judged {
         };
         Self {
             road,
-            kind,
+            condition,
             benign: loss(full(&drive), full(clean)).is_some_and(|loss| loss <= BENIGN),
             drive,
             losses,
@@ -561,6 +570,16 @@ impl Entered {
         self.at_s.iter().any(|&at| at >= began && at <= GONE_S)
     }
 
+    /// An entry at most 2 s after the condition has its severity. The portal of a tunnel is in sight all the while before.
+    fn soon(&self, kind: ConditionKind) -> bool {
+        let from = match kind {
+            ConditionKind::Tunnel => 0.0,
+            _ => FULL_S - RAMP_S,
+        };
+        let soon = from..=FULL_S + WITHIN_S;
+        self.at_s.iter().any(|at| soon.contains(at))
+    }
+
     /// The entry that warns of a failure.
     fn warning(&self, failure_s: f64) -> Option<f64> {
         let counts = failure_s - BEFORE_S..=failure_s + AFTER_S;
@@ -572,6 +591,10 @@ impl LaneFailure {
     fn count<'a>(&mut self, drives: impl Iterator<Item = (&'a Judged, Entered)>) {
         let mut leads = Vec::new();
         for (judged, entered) in drives {
+            if judged.condition.severity >= SEVERE {
+                self.severe += 1;
+                self.severe_found += u64::from(entered.soon(judged.condition.kind));
+            }
             let alarmed = entered.in_condition();
             self.alarmed += u64::from(alarmed);
             if let Some(failure_s) = judged.failure_s() {
@@ -585,6 +608,7 @@ impl LaneFailure {
                 self.benign_alarmed += u64::from(alarmed);
             }
         }
+        self.severe_interval = binomial_interval(self.severe_found, self.severe);
         leads.sort_by(f64::total_cmp);
         self.lead_median_s = leads.get(leads.len() / 2).copied();
         self.recall = share(self.found, self.failures);
@@ -678,6 +702,9 @@ impl Ranks {
             benign_alarmed: 0,
             benign_share: None,
             benign_interval: (0.0, 1.0),
+            severe: 0,
+            severe_found: 0,
+            severe_interval: (0.0, 1.0),
             false_alarms: 0,
             nominal_hours: 0.0,
             false_alarms_per_hour: 0.0,

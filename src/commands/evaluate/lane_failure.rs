@@ -141,6 +141,8 @@ pub fn sheets(rows: &[Row<LaneFailure>]) -> Vec<Sheet> {
                 "lead, s",
                 "benign alarmed, %",
                 "of",
+                "severity 3 and above found within 2 s, %",
+                "of",
                 "false alarms an hour, nominal",
             ],
         );
@@ -159,12 +161,20 @@ pub fn sheets(rows: &[Row<LaneFailure>]) -> Vec<Sheet> {
                 plain(of.lead_median_s, 1.0, 1),
                 per_cent(of.benign_share, of.benign_interval),
                 of.benign.to_string(),
+                per_cent(share(of.severe_found, of.severe), of.severe_interval),
+                of.severe.to_string(),
                 with_interval(of.false_alarms_per_hour, Some(of.false_alarms_interval), 2),
             ]);
         }
         sheets.push(sheet);
     }
     sheets
+}
+
+// Counts of drives are small.
+#[allow(clippy::cast_precision_loss)]
+fn share(of: u64, all: u64) -> Option<f64> {
+    (all > 0).then(|| of as f64 / all as f64)
 }
 
 fn label(of: &LaneFailure) -> String {
