@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use gapwatch::calibration::{PaperBinning, Temperature};
 use gapwatch::can::Sink;
+use gapwatch::encoder::Executor;
 use gapwatch::evidence::Quota;
 use gapwatch::gap::Metric;
 use gapwatch::model::ModelOptions;
@@ -343,6 +344,25 @@ pub struct BenchArgs {
     /// Size of the camera's pictures, pixels
     #[arg(long, value_name = "WxH", default_value = "1280x720")]
     pub frame: PictureSize,
+    /// Who runs the encoder: the fastest that can, or tract, to compare with
+    #[arg(long, value_enum, default_value = "fastest")]
+    pub executor: ExecutorChoice,
+}
+
+/// Who runs the encoder.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum ExecutorChoice {
+    Fastest,
+    Tract,
+}
+
+impl From<ExecutorChoice> for Executor {
+    fn from(choice: ExecutorChoice) -> Self {
+        match choice {
+            ExecutorChoice::Fastest => Self::Fastest,
+            ExecutorChoice::Tract => Self::Tract,
+        }
+    }
 }
 
 /// How a measurement is written.

@@ -19,7 +19,7 @@ use std::path::Path;
 
 use anyhow::bail;
 use gapwatch::alarm::AlarmState;
-use gapwatch::encoder::Encoder;
+use gapwatch::encoder::{Encoder, Executor};
 use gapwatch::frame::open;
 use gapwatch::model::{ModelOptions, ModelSpec};
 use gapwatch::pipeline::Verdict;
@@ -62,12 +62,22 @@ struct Model {
 
 impl Model {
     fn load(args: &ModelArgs) -> anyhow::Result<Self> {
-        Self::load_file(args.model.as_deref(), args.options())
+        Self::load_in(args, Executor::default())
+    }
+
+    fn load_in(args: &ModelArgs, executor: Executor) -> anyhow::Result<Self> {
+        Self::of_spec(
+            ModelSpec::new(args.model.as_deref(), args.options())?,
+            executor,
+        )
     }
 
     fn load_file(file: Option<&Path>, options: ModelOptions) -> anyhow::Result<Self> {
-        let spec = ModelSpec::new(file, options)?;
-        let encoder = Encoder::load(&spec)?;
+        Self::of_spec(ModelSpec::new(file, options)?, Executor::default())
+    }
+
+    fn of_spec(spec: ModelSpec, executor: Executor) -> anyhow::Result<Self> {
+        let encoder = Encoder::load_in(&spec, executor)?;
         let fingerprint = ModelFingerprint::new(&spec, &encoder);
         Ok(Self {
             spec,

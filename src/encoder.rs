@@ -1,9 +1,18 @@
-//! Encoder input → feature maps of the tapped blocks: the only file that names tract.
+//! Encoder input → feature maps of the tapped blocks: with `encoder/lowering.rs` the only file that names tract.
 //!
 //! Any ONNX encoder with one picture input `[1, 3, H, W]` will do. The taps are asked for by name, and whatever does not
 //! lead to them (a lane head, unless it is asked for too) is dropped before the graph is optimised.
+//!
+//! tract reads every model. Graphs of the few operators that lane models are made of then run in our own executor, which
+//! takes a third of tract's time; all others run in tract:
+//!
+//! ```text
+//! ONNX -> tract's typed graph -> Graph of our operators -> Plan of steps -> Buffers of one thread
+//!         encoder                lowering, graph           plan, layout     buffers, steps, kernel
+//! ```
 
 use std::cell::Cell;
+use std::ops::Deref;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 
@@ -11,10 +20,31 @@ use sha2::{Digest, Sha256};
 use tract_onnx::prelude::*;
 use tract_onnx::tract_hir::infer::{Factoid, GenericFactoid, InferenceModelExt, ShapeFactoid};
 
-use crate::model::ModelSpec;
+use crate::model::{ModelSpec, TAPS_MAX};
+
+mod buffers;
+mod graph;
+mod kernel;
+mod layout;
+mod lowering;
+mod plan;
+mod steps;
+#[cfg(test)]
+mod tests;
+
+use buffers::Buffers;
+use kernel::Kernel;
+use plan::Plan;
 
 /// Most elements of one value inside a model: half a GiB of 32-bit floats, eight times the largest input.
 const VOLUME_MAX: u64 = 1 << 27;
+
+/// Largest difference between our executor and tract, as a share of a tap's largest activation: a hundred times what rounding
+/// makes of the shipped models.
+const DIFFERENCE_MAX: f32 = 1e-4;
+
+/// Most outputs of an encoder: the taps and the lane head.
+const OUTPUTS_MAX: usize = TAPS_MAX + 1;
 
 /// A model that cannot be used.
 #[derive(Debug, thiserror::Error)]
@@ -82,19 +112,76 @@ pub enum EncoderError {
 /// A loaded model, shared between threads.
 #[derive(Clone)]
 pub struct Encoder {
-    plan: Arc<TypedRunnableModel>,
+    engine: Engine,
     taps: Vec<String>,
     has_lane: bool,
     input_shape: [usize; 4],
     sha256: String,
 }
 
+/// What computes a model.
+#[derive(Clone)]
+enum Engine {
+    Own(Arc<Plan>),
+    Tract(Arc<TypedRunnableModel>),
+}
+
+/// Who may compute a model.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum Executor {
+    /// Our executor where it knows all operators and agrees with tract, else tract.
+    #[default]
+    Fastest,
+    /// tract.
+    Tract,
+}
+
 /// Activations of one tapped block.
+#[derive(Clone, Copy)]
 pub struct FeatureMap<'a> {
     /// Channels, height, width.
     pub shape: [usize; 3],
     /// `[channels, height, width]`, raw activations of any sign.
     pub activations: &'a [f32],
+}
+
+/// Feature maps of one picture, in the order of the taps, the lane head's logits last.
+pub struct FeatureMaps<'a> {
+    maps: [FeatureMap<'a>; OUTPUTS_MAX],
+    count: usize,
+}
+
+impl<'a> FeatureMaps<'a> {
+    fn collect(maps: impl Iterator<Item = Result<FeatureMap<'a>, String>>) -> Result<Self, String> {
+        let nothing = FeatureMap {
+            shape: [0; 3],
+            activations: &[],
+        };
+        let mut all = [nothing; OUTPUTS_MAX];
+        let mut count = 0;
+        for (place, map) in all.iter_mut().zip(maps) {
+            *place = map?;
+            count += 1;
+        }
+        Ok(Self { maps: all, count })
+    }
+}
+
+impl<'a> Deref for FeatureMaps<'a> {
+    type Target = [FeatureMap<'a>];
+
+    fn deref(&self) -> &Self::Target {
+        &self.maps[..self.count]
+    }
+}
+
+/// Adds at least `count` products in registers with the fastest vectors of this processor, and says how many: the limit that
+/// an encoder's speed is measured against.
+pub fn products_in_registers(count: u64) -> u64 {
+    let in_round = (kernel::REGISTERS * layout::LANES) as u64;
+    let rounds = count.div_ceil(in_round);
+    std::hint::black_box(Kernel::available()[0].products_in_registers(rounds));
+    rounds * in_round
 }
 
 impl Encoder {
@@ -103,7 +190,7 @@ impl Encoder {
     /// # Errors
     /// When the file is no ONNX model, a tap is unknown, or shapes do not fit.
     pub fn load(spec: &ModelSpec) -> Result<Self, EncoderError> {
-        Self::load_for(spec, None)
+        Self::load_in(spec, Executor::Fastest)
     }
 
     /// Loads a model for its taps and its lane head, if the model's options name one.
@@ -111,11 +198,23 @@ impl Encoder {
     /// # Errors
     /// As [`Encoder::load`], and when the lane head does not answer with one logit a pixel of the input.
     pub fn load_with_lane(spec: &ModelSpec) -> Result<Self, EncoderError> {
-        Self::load_for(spec, spec.lane.as_ref())
+        Self::load_for(spec, spec.lane.as_ref(), Executor::Fastest)
     }
 
-    fn load_for(spec: &ModelSpec, lane: Option<&String>) -> Result<Self, EncoderError> {
-        contained(|| Self::load_trusting(spec, lane)).unwrap_or_else(|why| {
+    /// As [`Encoder::load`], and says who may compute it.
+    ///
+    /// # Errors
+    /// As [`Encoder::load`].
+    pub fn load_in(spec: &ModelSpec, executor: Executor) -> Result<Self, EncoderError> {
+        Self::load_for(spec, None, executor)
+    }
+
+    fn load_for(
+        spec: &ModelSpec,
+        lane: Option<&String>,
+        executor: Executor,
+    ) -> Result<Self, EncoderError> {
+        contained(|| Self::load_trusting(spec, lane, executor)).unwrap_or_else(|why| {
             Err(EncoderError::Onnx {
                 model: spec.name.clone(),
                 why,
@@ -123,7 +222,11 @@ impl Encoder {
         })
     }
 
-    fn load_trusting(spec: &ModelSpec, lane: Option<&String>) -> Result<Self, EncoderError> {
+    fn load_trusting(
+        spec: &ModelSpec,
+        lane: Option<&String>,
+        executor: Executor,
+    ) -> Result<Self, EncoderError> {
         let broken = |why: &dyn std::fmt::Display| EncoderError::Onnx {
             model: spec.name.clone(),
             why: why.to_string(),
@@ -207,12 +310,25 @@ impl Encoder {
                 "its value {node} has {volume} elements, more than {VOLUME_MAX}"
             )));
         }
-        let plan = model
-            .into_optimized()
+        let typed = model.into_typed().map_err(|e| broken(&root(&e)))?;
+        check_shapes(&typed, spec, lane)?;
+        let own = match executor {
+            Executor::Fastest => own_plan(&typed, &spec.name),
+            Executor::Tract => None,
+        };
+        let tract = typed
+            .into_decluttered()
+            .and_then(|m| m.into_optimized())
             .and_then(|m| m.into_runnable())
             .map_err(|e| broken(&root(&e)))?;
-        let encoder = Self {
-            plan,
+        let engine = match own {
+            Some(own) if agrees(&own, &tract, &input_shape, &spec.name) => {
+                Engine::Own(Arc::new(own))
+            }
+            _ => Engine::Tract(tract),
+        };
+        Ok(Self {
+            engine,
             taps: spec.taps.clone(),
             has_lane: lane.is_some(),
             input_shape,
@@ -220,46 +336,23 @@ impl Encoder {
                 .iter()
                 .map(|byte| format!("{byte:02x}"))
                 .collect(),
-        };
-        encoder.check_shapes(&spec.name, lane)?;
-        Ok(encoder)
+        })
     }
 
-    fn check_shapes(&self, model: &str, lane: Option<&String>) -> Result<(), EncoderError> {
-        let [_, _, height, width] = self.input_shape;
-        for (index, value) in self.taps.iter().chain(lane).enumerate() {
-            let fact = self
-                .plan
-                .model()
-                .output_fact(index)
-                .map_err(|e| EncoderError::Onnx {
-                    model: model.to_owned(),
-                    why: root(&e),
-                })?;
-            let is_f32 = fact.datum_type == f32::datum_type();
-            let shape = fact.shape.as_concrete();
-            let found = || format!("{:?} of {:?}", fact.shape, fact.datum_type);
-            if index == self.taps.len() {
-                if !is_f32 || shape != Some(&[1, 1, height, width]) {
-                    return Err(EncoderError::LaneShape {
-                        model: model.to_owned(),
-                        lane: value.clone(),
-                        found: found(),
-                        height,
-                        width,
-                    });
-                }
-            } else if !is_f32
-                || !shape.is_some_and(|s| matches!(*s, [1, c, h, w] if c > 0 && h > 1 && w > 1))
-            {
-                return Err(EncoderError::TapShape {
-                    model: model.to_owned(),
-                    tap: value.clone(),
-                    found: found(),
-                });
-            }
+    /// What computes it, for people.
+    pub fn executor(&self) -> String {
+        match &self.engine {
+            Engine::Own(plan) => format!("own, {}", plan.kernel.name()),
+            Engine::Tract(_) => "tract".to_owned(),
         }
-        Ok(())
+    }
+
+    /// Products of weights and activations in the convolutions of one picture; `None` of a model that runs in tract.
+    pub fn products(&self) -> Option<u64> {
+        match &self.engine {
+            Engine::Own(plan) => Some(plan.products),
+            Engine::Tract(_) => None,
+        }
     }
 
     /// Whether the lane head's logits come after the feature maps.
@@ -282,51 +375,201 @@ impl Encoder {
     /// # Errors
     /// When tract cannot set up its state.
     pub fn session(&self) -> Result<EncoderSession, EncoderError> {
-        let state = self.plan.spawn().map_err(|e| EncoderError::Onnx {
-            model: self.sha256.clone(),
-            why: root(&e),
-        })?;
+        let state = match &self.engine {
+            Engine::Own(plan) => State::Own {
+                buffers: Buffers::new(plan),
+                plan: plan.clone(),
+            },
+            Engine::Tract(plan) => State::Tract {
+                state: plan.spawn().map_err(|e| EncoderError::Onnx {
+                    model: self.sha256.clone(),
+                    why: root(&e),
+                })?,
+                outputs: TVec::new(),
+            },
+        };
         Ok(EncoderSession {
             state,
             input_shape: self.input_shape,
-            outputs: TVec::new(),
         })
     }
 }
 
 /// One thread's state of an encoder.
 pub struct EncoderSession {
-    state: TypedSimpleState,
+    state: State,
     input_shape: [usize; 4],
-    outputs: TVec<TValue>,
+}
+
+enum State {
+    Own {
+        plan: Arc<Plan>,
+        buffers: Buffers,
+    },
+    Tract {
+        state: TypedSimpleState,
+        outputs: TVec<TValue>,
+    },
 }
 
 impl EncoderSession {
     /// Runs the encoder on `[3, H, W]` normalised RGB; the feature maps come in the order of the taps, the lane head's
-    /// logits `[1, H, W]` last if it was loaded.
+    /// logits `[1, H, W]` last if it was loaded. Our own executor allocates nothing.
     ///
     /// # Errors
-    /// The reason in words when tract fails.
-    pub fn run(&mut self, input: &[f32]) -> Result<Vec<FeatureMap<'_>>, String> {
-        let input = Tensor::from_shape(&self.input_shape, input).map_err(|e| root(&e))?;
-        self.outputs = contained(|| self.state.run(tvec!(input.into())))?.map_err(|e| root(&e))?;
-        self.outputs
-            .iter()
-            .map(|output| {
-                let [_, channels, height, width] = *output.shape() else {
-                    return Err(format!("a tap has shape {:?}", output.shape()));
-                };
-                let activations = output
-                    .try_as_plain_ram()
-                    .and_then(|plain| plain.as_slice::<f32>())
-                    .map_err(|e| root(&e))?;
-                Ok(FeatureMap {
-                    shape: [channels, height, width],
-                    activations,
-                })
-            })
-            .collect()
+    /// The reason in words when the input has another size or tract fails.
+    pub fn run(&mut self, input: &[f32]) -> Result<FeatureMaps<'_>, String> {
+        if input.len() != self.input_shape.iter().product::<usize>() {
+            let [_, channels, height, width] = self.input_shape;
+            return Err(format!(
+                "the input has {} values; wanted [{channels}, {height}, {width}]",
+                input.len()
+            ));
+        }
+        match &mut self.state {
+            State::Own { plan, buffers } => {
+                buffers.run(plan, input);
+                let outputs = plan.outputs.iter().zip(buffers.outputs());
+                FeatureMaps::collect(
+                    outputs.map(|(&shape, activations)| Ok(FeatureMap { shape, activations })),
+                )
+            }
+            State::Tract { state, outputs } => {
+                *outputs = run_in_tract(state, &self.input_shape, input)?;
+                FeatureMaps::collect(outputs.iter().map(|output| feature_map(output)))
+            }
+        }
     }
+}
+
+fn run_in_tract(
+    state: &mut TypedSimpleState,
+    shape: &[usize],
+    input: &[f32],
+) -> Result<TVec<TValue>, String> {
+    let input = Tensor::from_shape(shape, input).map_err(|e| root(&e))?;
+    contained(|| state.run(tvec!(input.into())))?.map_err(|e| root(&e))
+}
+
+fn feature_map(output: &Tensor) -> Result<FeatureMap<'_>, String> {
+    let [_, channels, height, width] = *output.shape() else {
+        return Err(format!("a tap has shape {:?}", output.shape()));
+    };
+    let activations = output
+        .try_as_plain_ram()
+        .and_then(|plain| plain.as_slice::<f32>())
+        .map_err(|e| root(&e))?;
+    Ok(FeatureMap {
+        shape: [channels, height, width],
+        activations,
+    })
+}
+
+/// Our own plan for a model, if it knows all of the model's operators.
+fn own_plan(model: &TypedModel, name: &str) -> Option<Plan> {
+    let kernel = Kernel::available()[0];
+    let plan = lowering::lower(model).and_then(|graph| Plan::new(&graph.fused(), kernel));
+    plan.inspect_err(|why| log::info!("{name} runs in tract: {why}"))
+        .ok()
+}
+
+/// Whether our plan answers a picture of noise as tract does.
+fn agrees(plan: &Plan, tract: &Arc<TypedRunnableModel>, shape: &[usize; 4], name: &str) -> bool {
+    let picture = noise(shape.iter().product());
+    let mut buffers = Buffers::new(plan);
+    buffers.run(plan, &picture);
+    let theirs = tract
+        .spawn()
+        .map_err(|e| root(&e))
+        .and_then(|mut state| run_in_tract(&mut state, shape, &picture));
+    let difference = theirs.and_then(|theirs| {
+        let pairs = buffers.outputs().iter().zip(&theirs);
+        pairs
+            .map(|(ours, theirs)| Ok(difference(ours, feature_map(theirs)?.activations)))
+            .try_fold(0.0_f32, |largest, one: Result<f32, String>| {
+                Ok(largest.max(one?))
+            })
+    });
+    match difference {
+        Ok(difference) if difference <= DIFFERENCE_MAX => true,
+        Ok(difference) => {
+            log::warn!(
+                "{name} runs in tract: our executor differs from it by {difference:e} of the largest activation"
+            );
+            false
+        }
+        Err(why) => {
+            log::warn!("{name} runs in tract: our executor cannot be compared with it: {why}");
+            false
+        }
+    }
+}
+
+/// Largest difference between activations as a share of the largest; infinite when some are not finite.
+fn difference(ours: &[f32], theirs: &[f32]) -> f32 {
+    let largest = theirs.iter().fold(f32::MIN_POSITIVE, |m, v| m.max(v.abs()));
+    let apart = ours.iter().zip(theirs).fold(0.0_f32, |most, (a, b)| {
+        let apart = (a - b).abs();
+        if apart.is_nan() || most.is_nan() {
+            f32::NAN
+        } else {
+            most.max(apart)
+        }
+    });
+    match apart / largest {
+        share if share.is_finite() && ours.len() == theirs.len() => share,
+        _ => f32::INFINITY,
+    }
+}
+
+/// Values from -2 to 2, the range of a normalised picture; always the same.
+fn noise(count: usize) -> Vec<f32> {
+    let mut state = 1_u32;
+    // A linear congruential generator's upper bits, exact as floats.
+    #[allow(clippy::cast_precision_loss)]
+    let value = |_| {
+        state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        (state >> 16) as f32 / 16_384.0 - 2.0
+    };
+    (0..count).map(value).collect()
+}
+
+fn check_shapes(
+    model: &TypedModel,
+    spec: &ModelSpec,
+    lane: Option<&String>,
+) -> Result<(), EncoderError> {
+    let (width, height) = (spec.preprocessing.width, spec.preprocessing.height);
+    let (width, height) = (width as usize, height as usize);
+    for (index, value) in spec.taps.iter().chain(lane).enumerate() {
+        let fact = model.output_fact(index).map_err(|e| EncoderError::Onnx {
+            model: spec.name.clone(),
+            why: root(&e),
+        })?;
+        let is_f32 = fact.datum_type == f32::datum_type();
+        let shape = fact.shape.as_concrete();
+        let found = || format!("{:?} of {:?}", fact.shape, fact.datum_type);
+        if index == spec.taps.len() {
+            if !is_f32 || shape != Some(&[1, 1, height, width]) {
+                return Err(EncoderError::LaneShape {
+                    model: spec.name.clone(),
+                    lane: value.clone(),
+                    found: found(),
+                    height,
+                    width,
+                });
+            }
+        } else if !is_f32
+            || !shape.is_some_and(|s| matches!(*s, [1, c, h, w] if c > 0 && h > 1 && w > 1))
+        {
+            return Err(EncoderError::TapShape {
+                model: spec.name.clone(),
+                tap: value.clone(),
+                found: found(),
+            });
+        }
+    }
+    Ok(())
 }
 
 thread_local! {
@@ -340,9 +583,9 @@ pub fn in_tract() -> bool {
 
 /// Runs tract's code, which panics on some malformed models, and turns a panic into an error.
 fn contained<T>(work: impl FnOnce() -> T) -> Result<T, String> {
-    IN_TRACT.set(true);
+    let before = IN_TRACT.replace(true);
     let outcome = catch_unwind(AssertUnwindSafe(work));
-    IN_TRACT.set(false);
+    IN_TRACT.set(before);
     outcome.map_err(|panic| {
         let said = panic.downcast_ref::<String>().map(String::as_str);
         let said = said

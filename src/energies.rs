@@ -78,7 +78,7 @@ impl EnergyStage {
         let input = self.preprocessor.input(picture)?;
         let features = self.session.run(input).map_err(Undefined::Encoder)?;
         let blocks = self.maps.iter_mut().zip(&mut self.means);
-        for ((tap, features), (map, means)) in self.taps.iter().zip(&features).zip(blocks) {
+        for ((tap, features), (map, means)) in self.taps.iter().zip(features.iter()).zip(blocks) {
             energy_from_features(tap, features, map)?;
             means.take(features);
         }

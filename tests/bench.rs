@@ -6,6 +6,17 @@ mod program;
 use program::gapwatch_in;
 
 #[test]
+fn bench_runs_the_encoder_in_tract_when_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let args = ["bench", "--format", "json", "--frame", "320x160"];
+    let args = [&args[..], &["--executor", "tract"]].concat();
+    let bench: serde_json::Value =
+        serde_json::from_str(&gapwatch_in(folder.path(), &args).ok()).unwrap();
+    assert_eq!(bench["executor"], "tract");
+    assert!(bench["encoder_gflops"].is_null());
+}
+
+#[test]
 fn bench_has_its_keys_and_its_numbers_fit_together() {
     let folder = tempfile::tempdir().unwrap();
     let args = ["bench", "--format", "json", "--frame", "320x160"];
@@ -42,5 +53,9 @@ fn bench_has_its_keys_and_its_numbers_fit_together() {
     assert!(number(&bench, "encoder_ms") > 0.0);
     assert!(number(&bench, "encoder_ms") <= number(&bench, "frame_ms"));
     assert!(number(&bench, "start_ms") >= number(&bench, "encoder_ms"));
+    // The built-in model runs in our executor, without a request for memory.
+    assert!(bench["executor"].as_str().unwrap().starts_with("own"));
+    assert_eq!(stages[1]["allocations"], 0);
+    assert!(number(&bench, "encoder_gflops") > 0.0 && number(&bench, "peak_gflops") > 0.0);
     assert!(number(&bench, "rss_mib") > 1.0 && number(&bench, "binary_mib") > 1.0);
 }

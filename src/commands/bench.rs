@@ -12,7 +12,7 @@ use gapwatch::can::message::{GapHealth, GapStatus};
 use gapwatch::can::sender::StatusSender;
 use gapwatch::can::{CanFrame, CanSettings, SinkError, WarningSink};
 use gapwatch::detector::{Detector, Evidence};
-use gapwatch::encoder::EncoderSession;
+use gapwatch::encoder::{EncoderSession, products_in_registers};
 use gapwatch::energies::BlockMeans;
 use gapwatch::frame::{Frame, open};
 use gapwatch::intake::Intake;
@@ -32,6 +32,8 @@ const MEASURE: Duration = Duration::from_secs(8);
 const FRAMES_MAX: u64 = 500;
 /// First frames, which fill buffers and caches and are not counted.
 const WARM_UP: u64 = 5;
+/// Products of one run that measures what a core can do: about a millisecond.
+const PEAK_PRODUCTS: u64 = 40_000_000;
 /// Time between frames of the drive.
 const PERIOD: Duration = Duration::from_millis(100);
 
@@ -55,6 +57,12 @@ struct Bench {
     frames: u64,
     stages: Vec<Stage>,
     encoder_ms: f64,
+    /// What ran the encoder.
+    executor: String,
+    /// Of the encoder's convolutions, two operations a product; `None` where their number is not known.
+    encoder_gflops: Option<f64>,
+    /// Of a loop of products in registers on one core.
+    peak_gflops: f64,
     frame_ms: f64,
     frame_p99_ms: f64,
     /// CPU time of a thread for one frame through all stages; `None` where the machine does not tell.
@@ -89,7 +97,7 @@ struct Measured {
 pub fn run(args: &BenchArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
     let frames = pictures(args)?;
     let began = Instant::now();
-    let model = Model::load(&args.model)?;
+    let model = Model::load_in(&args.model, args.executor.into())?;
     let shipped = Reference::read(None)
         .ok()
         .filter(|reference| reference.check_fits("built-in", &model.fingerprint).is_ok());
@@ -374,6 +382,10 @@ fn summary(
         frame: format!("{}x{}", args.frame.width, args.frame.height),
         frames: samples.len() as u64,
         encoder_ms: stages[1].median_ms,
+        executor: model.encoder.executor(),
+        encoder_gflops: (model.encoder.products())
+            .map(|products| gflops(products, Duration::from_secs_f64(stages[1].median_ms / 1e3))),
+        peak_gflops: peak_gflops(),
         stages,
         frame_ms: ms(quantile(whole.clone(), 50)),
         frame_p99_ms: ms(quantile(whole, 99)),
@@ -388,6 +400,21 @@ fn quantile(mut of: Vec<Duration>, percent: usize) -> Duration {
     of.sort_unstable();
     let last = of.len().saturating_sub(1);
     of.get(last * percent / 100).copied().unwrap_or_default()
+}
+
+/// Operations per second in billions, to a tenth.
+#[allow(clippy::cast_precision_loss)]
+fn gflops(products: u64, time: Duration) -> f64 {
+    (2.0 * products as f64 / time.as_secs_f64().max(1e-9) / 1e8).round() / 10.0
+}
+
+/// What a core can do at most: the best of a few short runs, since others may be using it.
+fn peak_gflops() -> f64 {
+    let run = |_| {
+        let began = Instant::now();
+        gflops(products_in_registers(PEAK_PRODUCTS), began.elapsed())
+    };
+    (0..20).map(run).fold(0.0, f64::max)
 }
 
 /// To the microsecond.
@@ -469,6 +496,13 @@ fn table(bench: &Bench, out: &mut dyn Write) -> anyhow::Result<()> {
         out,
         "{:<12}{:>12.3}{:>12.3}",
         "frame", bench.frame_ms, bench.frame_p99_ms
+    )?;
+    let speed = bench.encoder_gflops;
+    let speed = speed.map_or(String::new(), |speed| format!("{speed:.1} of "));
+    writeln!(
+        out,
+        "encoder run by {}: {speed}{:.1} GFLOP/s that a core can do",
+        bench.executor, bench.peak_gflops
     )?;
     if let Some(cpu_ms) = bench.cpu_ms {
         writeln!(out, "CPU time {cpu_ms:.3} ms a frame")?;

@@ -1,11 +1,12 @@
-"""The encoder of `gapwatch bench` against onnxruntime: same graphs, one thread, one after the other.
+"""The encoder of `gapwatch bench`, in its own executor and in tract, against onnxruntime: same graphs, one thread, one
+after the other.
 
     python3 -m venv target/peers && target/peers/bin/pip install -r tests/peers/requirements.txt
     cargo build --release
     target/peers/bin/python tests/peers/compare.py [--rounds 3] [GRAPH.onnx ...]
 
-Every graph is cut to its taps, so that both do the same work. Rounds alternate between the two; the ratio is that of
-the smallest medians, above 1 where gapwatch is faster. Input to onnxruntime is noise: no operator of these graphs takes
+Every graph is cut to its taps, so that all do the same work. Rounds alternate between the three; the ratios are those of
+the smallest medians, above 1 where gapwatch's own executor is faster. Input to onnxruntime is noise: no operator of these graphs takes
 longer for one picture than for another. Whether both compute the same is not checked here.
 """
 
@@ -54,10 +55,15 @@ def onnxruntime_ms(session: onnxruntime.InferenceSession) -> float:
     return statistics.median(took)
 
 
-def gapwatch_ms(program: Path, graph: Path) -> float:
+def gapwatch_ms(program: Path, graph: Path, executor: str) -> tuple[float, str]:
+    """Median time of the encoder, and what ran it."""
     words = [program, "bench", "--model", graph, "--frame", "320x160", "--format", "json"]
+    words += ["--executor", executor]
     ran = subprocess.run(words, check=True, capture_output=True, text=True)
-    return json.loads(ran.stdout)["encoder_ms"]
+    bench = json.loads(ran.stdout)
+    speed = bench["encoder_gflops"]
+    of_peak = f"{speed:.0f} of {bench['peak_gflops']:.0f} GFLOP/s" if speed else ""
+    return bench["encoder_ms"], f"{bench['executor']}, {of_peak}"
 
 
 def main() -> None:
@@ -69,20 +75,31 @@ def main() -> None:
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     ratios = []
-    print(f"{'graph':<28}{'gapwatch ms':>12}{'onnxruntime ms':>16}{'ratio':>7}")
+    print(f"{'graph':<24}{'own ms':>9}{'tract ms':>10}{'onnxruntime ms':>16}{'/tract':>8}{'/onnx':>7}")
     with tempfile.TemporaryDirectory() as folder:
         for graph in args.graphs or sorted((ROOT / "calibration").glob("*.onnx")):
             peer = onnxruntime.InferenceSession(
                 cut(graph, Path(folder)), options, providers=["CPUExecutionProvider"]
             )
             rounds = [
-                (gapwatch_ms(args.program, graph), onnxruntime_ms(peer)) for _ in range(args.rounds)
+                (
+                    gapwatch_ms(args.program, graph, "fastest"),
+                    gapwatch_ms(args.program, graph, "tract"),
+                    onnxruntime_ms(peer),
+                )
+                for _ in range(args.rounds)
             ]
-            ours, theirs = (min(times) for times in zip(*rounds, strict=True))
+            ours, how = min(own for own, _, _ in rounds)
+            tract = min(tract for _, (tract, _), _ in rounds)
+            theirs = min(theirs for _, _, theirs in rounds)
             ratios.append(theirs / ours)
-            print(f"{graph.stem:<28}{ours:>12.2f}{theirs:>16.2f}{ratios[-1]:>7.2f}", flush=True)
+            print(
+                f"{graph.stem:<24}{ours:>9.2f}{tract:>10.2f}{theirs:>16.2f}"
+                f"{tract / ours:>8.2f}{ratios[-1]:>7.2f}  {how}",
+                flush=True,
+            )
     mean = math.exp(statistics.fmean(math.log(ratio) for ratio in ratios))
-    print(f"geometric mean of the ratios {mean:.2f}")
+    print(f"geometric mean of the ratios to onnxruntime {mean:.2f}")
 
 
 if __name__ == "__main__":

@@ -1,0 +1,88 @@
+//! How activations lie in memory: sixteen channels side by side, with room for zeros left and right of every row.
+
+/// Channels side by side: a vector of AVX-512, two of AVX2, four of NEON.
+pub const LANES: usize = 16;
+
+/// Activations `[height][blocks][left + width + right][LANES]`. The last block is filled up with channels of zeros.
+///
+/// A convolution reads the zeros beside the rows as it reads the picture; rows above and below it leaves out.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Blocked {
+    /// Blocks of [`LANES`] channels.
+    pub blocks: usize,
+    /// Rows.
+    pub height: usize,
+    /// Columns.
+    pub width: usize,
+    /// Columns of zeros before the first.
+    pub left: usize,
+    /// Columns of zeros after the last.
+    pub right: usize,
+}
+
+impl Blocked {
+    /// Values from one block of a row to the next.
+    #[inline(always)]
+    pub fn pitch(&self) -> usize {
+        (self.left + self.width + self.right) * LANES
+    }
+
+    /// Values from one row to the next.
+    #[inline(always)]
+    pub fn row(&self) -> usize {
+        self.blocks * self.pitch()
+    }
+
+    /// Values in all.
+    pub fn len(&self) -> usize {
+        self.height * self.row()
+    }
+
+    /// Where the pixels of a block in a row lie.
+    #[inline(always)]
+    pub fn pixels(&self, y: usize, block: usize) -> std::ops::Range<usize> {
+        let start = y * self.row() + block * self.pitch() + self.left * LANES;
+        start..start + self.width * LANES
+    }
+}
+
+/// The picture `[channels][height][left + width + right]`, with zeros left and right of every row.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Planar {
+    /// Colours.
+    pub channels: usize,
+    /// Rows.
+    pub height: usize,
+    /// Columns.
+    pub width: usize,
+    /// Columns of zeros before the first.
+    pub left: usize,
+    /// Columns of zeros after the last.
+    pub right: usize,
+}
+
+impl Planar {
+    /// Values from one row to the next.
+    #[inline(always)]
+    pub fn row(&self) -> usize {
+        self.left + self.width + self.right
+    }
+
+    /// Values from one channel to the next.
+    #[inline(always)]
+    pub fn plane(&self) -> usize {
+        self.height * self.row()
+    }
+
+    /// Values in all.
+    pub fn len(&self) -> usize {
+        self.channels * self.plane()
+    }
+
+    /// Where the pixels of a row lie.
+    #[inline(always)]
+    pub fn pixels(&self, channel: usize, y: usize) -> std::ops::Range<usize> {
+        let start = channel * self.plane() + y * self.row() + self.left;
+        start..start + self.width
+    }
+}
