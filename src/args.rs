@@ -295,6 +295,9 @@ pub enum EvaluateKey {
     /// How well each metric tells other roads' image sets from a simulation's; needs --field
     #[value(name = "field_sets")]
     FieldSets,
+    /// Similarity of adapted simulation, plain simulation and noise with real images, and with simulation, as in the paper
+    #[value(name = "paper_table")]
+    PaperTable,
 }
 
 impl EvaluateKey {

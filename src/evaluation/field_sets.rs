@@ -177,7 +177,8 @@ pub struct FieldSetError {
 }
 
 impl Recording {
-    fn blocks(&self) -> impl Iterator<Item = Range<usize>> + use<> {
+    /// Its blocks, in order.
+    pub(super) fn blocks(&self) -> impl Iterator<Item = Range<usize>> + use<> {
         let (images, step) = (self.survey.frames.len(), self.block_images.max(1));
         (0..images)
             .step_by(step)
@@ -186,6 +187,12 @@ impl Recording {
 }
 
 impl Recordings {
+    /// Images of all recordings.
+    pub fn images(&self) -> usize {
+        let counts = self.recordings.iter().map(|of| of.survey.frames.len());
+        counts.sum()
+    }
+
     /// Its blocks: recording and images, for fitting (every second one) or for scaling.
     fn half(&self, fitting: bool) -> Vec<(usize, Range<usize>)> {
         let all = self.recordings.iter().enumerate();
