@@ -104,7 +104,7 @@ pub fn run(args: &EvaluateArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
                 results.set(key, &rows, &command::made(key, args))?;
             }
             (EvaluateKey::PaperTable, _, Some(field)) => {
-                let rows = paper_table::rows(field)?;
+                let rows = paper_table::rows(field, args)?;
                 results.set(key, &rows, &command::made(key, args))?;
             }
             _ => continue,

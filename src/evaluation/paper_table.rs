@@ -12,7 +12,7 @@ use super::field_sets::Recordings;
 use super::resampling::{ROUNDS, SplitMix64, percentile_interval};
 use crate::attention::EnergyMap;
 use crate::calibration::{PaperBinning, TapHistogram, counts_of, median};
-use crate::gap::moments::{self, ChannelNorm, Moments, channel_levels};
+use crate::gap::moments::{self, EnergyNorm, Moments, energy_levels};
 use crate::gap::{Divergence, Metric};
 use crate::histogram::Binning;
 use crate::reference::Nominal;
@@ -91,7 +91,7 @@ struct Block {
 /// How the images of one tap are counted; bins and scales are the whole reference's in every resample.
 enum Counting {
     Histogram(Binning),
-    /// Levels of channels above an energy that counts as none.
+    /// Levels of energies above one that counts as none.
     Levels(f64),
 }
 
@@ -296,9 +296,9 @@ impl Counting {
                 .frames
                 .iter()
                 .map(|frame| {
-                    let energies = &frame.as_ref().map_err(Undefined::clone)?.channels[tap].energy;
+                    let energies = &frame.as_ref().map_err(Undefined::clone)?.means[tap].energy;
                     let mut levels = vec![0; energies.len()];
-                    channel_levels(energies, *epsilon, &mut levels);
+                    energy_levels(energies, *epsilon, &mut levels);
                     Ok(levels)
                 })
                 .collect(),
@@ -313,13 +313,13 @@ impl Counting {
                 counts: sums(blocks, times).0,
             }),
             Self::Levels(epsilon) => {
-                let channels = blocks.first().map_or(0, |block| block.sums.len());
-                let mut moments = Moments::new(channels);
+                let energies = blocks.first().map_or(0, |block| block.sums.len());
+                let mut moments = Moments::new(energies);
                 for (block, &times) in blocks.iter().zip(times) {
                     let own = block.moments.iter().cycle().take(times as usize);
                     own.for_each(|own| moments.merge(own));
                 }
-                ChannelNorm::fit(*epsilon, &moments, None).map(Nominal::Channels)
+                EnergyNorm::fit(*epsilon, &moments, None).map(Nominal::Energies)
             }
         }
     }
@@ -337,5 +337,95 @@ impl Block {
                 .get_or_insert_with(|| Moments::new(numbers.len()));
             moments.add(numbers);
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, clippy::float_cmp)]
+    use super::super::field_sets::tests::recordings;
+    use super::*;
+
+    #[test]
+    fn sets_that_lie_farther_and_farther_off_are_in_order() {
+        let reference = recordings("reference", &[40], 1, 1.0);
+        let sets = [("near", 1.0), ("farther", 2.0), ("far", 9.0)]
+            .map(|(name, level)| recordings(name, &[30, 5], 1, level));
+        let table = |order: [usize; 3]| Sets {
+            reference: &reference,
+            sets: order.map(|index| &sets[index]).to_vec(),
+        };
+        let taps = ["e2".to_owned()];
+        let metrics = [Metric::Mahalanobis];
+        let [row] = &rows(&table([0, 1, 2]), &taps, &metrics)[..] else {
+            panic!("one metric, one tap, one row");
+        };
+        assert_eq!((row.order_holds, row.order_share), (Some(true), Some(1.0)));
+        assert_eq!((row.images, row.blocks), (40, 40));
+        for set in &row.sets {
+            assert_eq!((set.images, set.blocks), (35, 35));
+            let (low, high) = set.interval.unwrap();
+            assert!(
+                low < set.value.unwrap() && set.value.unwrap() < high,
+                "{set:?}"
+            );
+        }
+        let row = &rows(&table([0, 2, 1]), &taps, &metrics)[0];
+        assert_eq!((row.order_holds, row.order_share), (Some(false), Some(0.0)));
+    }
+
+    #[test]
+    fn equally_many_images_are_taken_evenly_spread() {
+        let reference = recordings("reference", &[40], 10, 1.0);
+        let (few, many) = (
+            recordings("few", &[7], 2, 1.0),
+            recordings("many", &[30, 12], 10, 1.0),
+        );
+        let sets = Sets {
+            reference: &reference,
+            sets: vec![&few, &many],
+        };
+        let row = &rows(&sets, &["e2".to_owned()], &[Metric::Paper])[0];
+        let counted: Vec<_> = row
+            .sets
+            .iter()
+            .map(|set| (set.images, set.blocks))
+            .collect();
+        // Images 0, 6, 12, .. 36 of many: three blocks of ten, and the last two in the second recording.
+        assert_eq!((row.blocks, counted), (4, vec![(7, 4), (7, 4)]));
+    }
+
+    #[test]
+    fn undefined_stays_undefined_with_its_reason() {
+        let reference = recordings("reference", &[40], 10, 1.0);
+        let mut black = recordings("black", &[20], 10, 1.0);
+        black.recordings[0].survey.frames[19] = Err(Undefined::Black);
+        let sets = Sets {
+            reference: &reference,
+            sets: vec![&reference, &black],
+        };
+        let row = &rows(&sets, &["e2".to_owned()], &[Metric::Mahalanobis])[0];
+        assert_eq!((row.order_holds, row.order_share), (None, None));
+        assert!(row.sets[0].value.is_some());
+        let black = &row.sets[1];
+        assert_eq!((black.value, black.interval), (None, None));
+        assert_eq!(black.reason.as_deref(), Some("picture is black"));
+    }
+
+    #[test]
+    fn resamples_centre_on_what_was_found_and_stay_in_range() {
+        let moved = Scale::Correlation.recentred(vec![0.9, 0.92, 0.96], 0.97);
+        assert!(
+            moved[0] < 0.97 && moved[2] > 0.97 && moved[2] < 1.0,
+            "{moved:?}"
+        );
+        let moved = Scale::Distance.recentred(vec![2.0, 8.0], 1.0);
+        assert!((moved[0] - 0.5).abs() < 1e-12 && (moved[1] - 2.0).abs() < 1e-12);
+        assert!(
+            Scale::Distance
+                .recentred(vec![0.0, 1.0], 0.0)
+                .iter()
+                .all(|v| v.is_finite())
+        );
     }
 }

@@ -22,7 +22,7 @@ pub fn made(key: EvaluateKey, args: &EvaluateArgs) -> Made {
         EvaluateKey::FalseAlarms => format!("drives {} and on", false_alarms::FIRST_SEED),
         EvaluateKey::LaneFailure => lane_failure::seeds(args.quick),
         EvaluateKey::FieldSets => field_sets::seeds(args.quick),
-        EvaluateKey::PaperTable => paper_table::seeds(),
+        EvaluateKey::PaperTable => paper_table::seeds(args.quick),
     };
     Made {
         command: command(key, args),

@@ -6,12 +6,13 @@ use gapwatch::gap::Metric;
 use super::field::{Field, HIGHWAY, HIGHWAY_CLIP, HIGHWAY_REST};
 use super::results::Row;
 use super::sheet::{Sheet, with_interval};
+use crate::args::EvaluateArgs;
 
 /// What the rows mean.
 pub const ABOUT: &str = "Image sets as wholes against a reference set, as in the paper's table: another set of the \
     reference's own domain, adapted simulation (look `sim-realistic`), plain simulation (look `sim`) or real images, and \
     noise, at equal numbers of images. `paper` is Pearson's correlation of softmax attention at T = 10, bins 101 to 255 (1 = \
-    alike); the default metric is there for comparison. Intervals are 95 %: percentiles over 1,000 resamples, with \
+    alike); `mahalanobis`, a distance, is there for comparison. Intervals are 95 %: percentiles over 1,000 resamples, with \
     replacement, of blocks of images of the reference and of the sets (2 s of a clip, single rendered scenes, each from a \
     drive of its own), moved to centre on what was found, since drawing with replacement adds noise that lowers every \
     similarity. Order: whether the similarities fall from the first set to the last, and in what share of the resamples \
@@ -19,22 +20,36 @@ pub const ABOUT: &str = "Image sets as wholes against a reference set, as in the
     trained on simulation, and the real images are one road.";
 
 /// Rendered sets, an image a drive: the plain simulation, more of it, and the adapted one.
-const PLAIN: &str = "scene:sim?seed=81001..81200&seconds=1&fps=1";
-const PLAIN_2: &str = "scene:sim?seed=82001..82120&seconds=1&fps=1";
-const ADAPTED: &str = "scene:sim-realistic?seed=83001..83120&seconds=1&fps=1";
+fn rendered(quick: bool) -> [String; 3] {
+    let set = |look: &str, first: u32, drives: u32| {
+        let drives = if quick { 30 } else { drives };
+        let last = first + drives - 1;
+        format!("scene:{look}?seed={first}..{last}&seconds=1&fps=1")
+    };
+    [
+        set("sim", 81_001, 200),
+        set("sim", 82_001, 120),
+        set("sim-realistic", 83_001, 120),
+    ]
+}
+
+/// The published metric, and the default of those that compare sets.
+const METRICS: [Metric; 2] = [Metric::Paper, Metric::Mahalanobis];
 /// Images of random pixels.
 const RANDOM: usize = 120;
 
 /// Seeds of what is rendered, in words.
-pub fn seeds() -> String {
-    format!("`{PLAIN}`, `{PLAIN_2}`, `{ADAPTED}`, random pixels 1")
+pub fn seeds(quick: bool) -> String {
+    let [plain, plain_2, adapted] = rendered(quick);
+    format!("`{plain}`, `{plain_2}`, `{adapted}`, random pixels 1")
 }
 
 /// Real images as the reference, if there are any, then the simulation.
-pub fn rows(field: &Field) -> anyhow::Result<Vec<Row<PaperRow>>> {
-    let plain = field.render("plain simulation", PLAIN)?;
-    let plain_2 = field.render("plain simulation 2", PLAIN_2)?;
-    let adapted = field.render("adapted simulation", ADAPTED)?;
+pub fn rows(field: &Field, args: &EvaluateArgs) -> anyhow::Result<Vec<Row<PaperRow>>> {
+    let [plain, plain_2, adapted] = rendered(args.quick);
+    let plain = field.render("plain simulation", &plain)?;
+    let plain_2 = field.render("plain simulation 2", &plain_2)?;
+    let adapted = field.render("adapted simulation", &adapted)?;
     let random = field.random(RANDOM)?;
     let real = if field.has_images() {
         let sets = [HIGHWAY_CLIP, HIGHWAY_REST, HIGHWAY];
@@ -56,10 +71,9 @@ pub fn rows(field: &Field) -> anyhow::Result<Vec<Row<PaperRow>>> {
         reference: &plain,
         sets: sets.into_iter().flatten().collect(),
     });
-    let metrics = [Metric::Paper, Metric::DEFAULT];
     let rows = tables
         .iter()
-        .flat_map(|sets| rows_of(sets, field.taps(), &metrics));
+        .flat_map(|sets| rows_of(sets, field.taps(), &METRICS));
     Ok(rows
         .map(|of| Row {
             default: of.metric == Metric::DEFAULT,
