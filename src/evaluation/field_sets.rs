@@ -135,7 +135,7 @@ pub fn rows(
     let measured = jobs
         .par_iter()
         .map(|&(kind, tap)| {
-            let measured = measure(case, kind, tap)?;
+            let measured = measure(case, kind, tap, &taps[tap])?;
             seen();
             Ok(measured)
         })
@@ -172,7 +172,7 @@ fn kinds(metrics: &[Metric]) -> impl Iterator<Item = &[Metric]> {
 #[error("reference {set}, tap {tap}: {why}")]
 pub struct FieldSetError {
     set: String,
-    tap: usize,
+    tap: String,
     why: Undefined,
 }
 
@@ -364,10 +364,15 @@ impl Kind {
     }
 }
 
-fn measure(case: &Case<'_>, kind: &[Metric], tap: usize) -> Result<Vec<Measured>, FieldSetError> {
+fn measure(
+    case: &Case<'_>,
+    kind: &[Metric],
+    tap: usize,
+    name: &str,
+) -> Result<Vec<Measured>, FieldSetError> {
     let wrong = |why| FieldSetError {
         set: case.reference.name.clone(),
-        tap,
+        tap: name.to_owned(),
         why,
     };
     let Some(&first) = kind.first() else {
