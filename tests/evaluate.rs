@@ -130,6 +130,24 @@ fn wrong_files_and_folders_of_an_evaluation_are_refused_by_name() {
     assert_eq!(kept, "precious");
 }
 
+#[test]
+fn the_shipped_page_is_made_from_the_shipped_results() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let from = [
+        "evaluate",
+        "--from",
+        "calibration/results.json",
+        "--format",
+        "markdown",
+    ];
+    let made = gapwatch_in(root, &from).ok();
+    let shipped = fs::read_to_string(root.join("calibration/RESULTS.md")).unwrap();
+    assert!(
+        made == shipped,
+        "calibration/RESULTS.md is older than results.json; calibration/README.md has the command"
+    );
+}
+
 fn field() -> String {
     std::env::var("GAPWATCH_FIELD").expect("GAPWATCH_FIELD names the folder of image sets")
 }
