@@ -224,10 +224,12 @@ pub struct InspectArgs {
 /// lane_iou: lane IoU of every model in every look of the world, in plain day and under every condition at severities 1 to
 /// 5, and how much of the encoder's energy lies on lanes; each model is asked at its own size. domain_detection: how many
 /// drives enter Gap within 2 s of an event, at 1 and 0.1 false alarms an hour. false_alarms: entries into Gap on nominal
-/// drives, at thresholds made for 10, 1 and 0.1 an hour. The last two judge one reference.
+/// drives, at thresholds made for 10, 1 and 0.1 an hour. These two judge one reference. field_sets: AUROC and recall at 5 %
+/// false positives of every metric on windows of 1, 5 and 10 images of other roads and simulators. paper_table: similarity
+/// of image sets as wholes, as in the paper. With --out, each key is kept as soon as it is done.
 #[derive(Debug, Args)]
 #[command(
-    after_help = "Example:\n  gapwatch evaluate --model a.onnx b.onnx --scenes 50 --format json"
+    after_help = "Example:\n  gapwatch evaluate --only field_sets --field sets --out results.json\n  gapwatch evaluate --from results.json --format markdown > RESULTS.md"
 )]
 pub struct EvaluateArgs {
     /// ONNX files, each with a .toml of the same name beside it that names its lane output; left out = the built-in model
@@ -296,6 +298,9 @@ pub enum EvaluateKey {
     /// How well each metric tells other roads' image sets from a simulation's; needs --field
     #[value(name = "field_sets")]
     FieldSets,
+    /// Similarity of adapted simulation, plain simulation and noise with real images, and with simulation, as in the paper
+    #[value(name = "paper_table")]
+    PaperTable,
 }
 
 impl EvaluateKey {

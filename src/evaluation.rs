@@ -8,6 +8,7 @@ pub mod domain_detection;
 pub mod false_alarms;
 pub mod field_sets;
 pub mod lane_failure;
+pub mod paper_table;
 mod resampling;
 pub mod separation;
 pub mod watched;

@@ -32,7 +32,7 @@ pub fn run(args: &CalibrateArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
         );
     }
     let risk = args.metric == Metric::LaneRisk;
-    if risk != !args.labelled.is_empty() {
+    if risk == args.labelled.is_empty() {
         bail!("--metric lane-risk and --labelled belong together; wanted both or neither");
     }
     if risk && !args.accept.is_empty() {

@@ -9,6 +9,7 @@ mod field;
 mod field_sets;
 mod lane_failure;
 mod lane_iou;
+mod paper_table;
 mod results;
 mod sheet;
 mod watched;
@@ -56,12 +57,13 @@ pub fn run(args: &EvaluateArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
     } else {
         None
     };
-    let field = match (&args.field, args.only) {
-        (Some(folder), _) if wanted(EvaluateKey::FieldSets) => Some(Field::open(folder, args)?),
-        (None, Some(EvaluateKey::FieldSets)) => {
-            bail!("field_sets needs the image sets of other roads; wanted --field DIR")
-        }
-        _ => None,
+    if args.only == Some(EvaluateKey::FieldSets) && args.field.is_none() {
+        bail!("field_sets needs the image sets of other roads; wanted --field DIR");
+    }
+    let field = if wanted(EvaluateKey::FieldSets) || wanted(EvaluateKey::PaperTable) {
+        Some(Field::open(args)?)
+    } else {
+        None
     };
     let failing = if wanted(EvaluateKey::LaneFailure) {
         Some(lane_failure::Judged::open(&args.model)?)
@@ -70,7 +72,9 @@ pub fn run(args: &EvaluateArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
     };
     let store = args.out.as_deref().map(Store::open).transpose()?;
     if args.field.is_none() && args.only.is_none() {
-        log::warn!("field_sets is left out: it needs --field DIR");
+        log::warn!(
+            "field_sets and the real images of paper_table are left out: they need --field DIR"
+        );
     }
     let mut results = Results::default();
     for &key in EvaluateKey::value_variants() {
@@ -95,8 +99,12 @@ pub fn run(args: &EvaluateArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
                 let rows = lane_failure::rows(failing, args)?;
                 results.set(key, &rows, &command::made(key, args))?;
             }
-            (EvaluateKey::FieldSets, _, Some(field)) => {
+            (EvaluateKey::FieldSets, _, Some(field)) if field.has_images() => {
                 let rows = field_sets::rows(field, args)?;
+                results.set(key, &rows, &command::made(key, args))?;
+            }
+            (EvaluateKey::PaperTable, _, Some(field)) => {
+                let rows = paper_table::rows(field, args)?;
                 results.set(key, &rows, &command::made(key, args))?;
             }
             _ => continue,
@@ -135,6 +143,7 @@ fn page(results: &Results, key: EvaluateKey) -> anyhow::Result<Option<Page>> {
             page_of(results, key, lane_failure::ABOUT, lane_failure::sheets)
         }
         EvaluateKey::FieldSets => page_of(results, key, field_sets::ABOUT, field_sets::sheets),
+        EvaluateKey::PaperTable => page_of(results, key, paper_table::ABOUT, paper_table::sheets),
     }
 }
 

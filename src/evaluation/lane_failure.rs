@@ -506,7 +506,7 @@ impl Judged {
             |of: &LabelledSurvey, second: usize| {
                 let frames = of.survey.times.iter().zip(&of.overlaps);
                 pooled(frames.filter_map(|(at, &overlap)| {
-                    (at.as_secs() as usize == second).then_some(overlap)
+                    (at.as_secs() == second as u64).then_some(overlap)
                 }))
             };
         // A few tens of seconds.

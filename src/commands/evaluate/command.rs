@@ -6,7 +6,7 @@ use gapwatch::evaluation::{SCENE_SET, domain_detection, false_alarms};
 use gapwatch::scene::Look;
 
 use super::results::Made;
-use super::{field_sets, lane_failure};
+use super::{field_sets, lane_failure, paper_table};
 use crate::args::{EvaluateArgs, EvaluateKey};
 
 /// How the folder of image sets is named, wherever it lies.
@@ -22,6 +22,7 @@ pub fn made(key: EvaluateKey, args: &EvaluateArgs) -> Made {
         EvaluateKey::FalseAlarms => format!("drives {} and on", false_alarms::FIRST_SEED),
         EvaluateKey::LaneFailure => lane_failure::seeds(args.quick),
         EvaluateKey::FieldSets => field_sets::seeds(args.quick),
+        EvaluateKey::PaperTable => paper_table::seeds(args.quick),
     };
     Made {
         command: command(key, args),
@@ -46,6 +47,7 @@ fn command(key: EvaluateKey, args: &EvaluateArgs) -> String {
         EvaluateKey::FalseAlarms => number("hours", args.hours),
         EvaluateKey::LaneFailure => None,
         EvaluateKey::FieldSets => Some(FIELD.to_owned()),
+        EvaluateKey::PaperTable => args.field.as_ref().map(|_| FIELD.to_owned()),
     });
     if matches!(key, EvaluateKey::DomainDetection | EvaluateKey::FalseAlarms) {
         if let Some(path) = &args.reference {

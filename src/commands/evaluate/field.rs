@@ -1,6 +1,6 @@
 //! Image sets of other roads, and the model that looks at them.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use anyhow::bail;
 use gapwatch::evaluation::field_sets::{Recording, Recordings};
@@ -67,19 +67,41 @@ pub const POSES: FieldSet = FieldSet {
     drives: 1,
 };
 
+/// One clip of that highway.
+pub const HIGHWAY_CLIP: FieldSet = FieldSet {
+    name: "real: highway clip",
+    sources: &[(CLIP, 50)],
+    drives: 1,
+};
+/// The rest of it.
+pub const HIGHWAY_REST: FieldSet = FieldSet {
+    name: "real 2: other highway images",
+    sources: &[
+        ("real/california_highway/concrete_bridge.mp4", 50),
+        ("real/california_highway/project_video_frames", 15),
+        ("real/california_highway", 1),
+    ],
+    drives: 1,
+};
+
 const CLIP: &str = "real/california_highway/solidWhiteRight.mp4";
 
-/// The folder of image sets, and the model.
+/// The model, and the folder of image sets if there is one.
 pub struct Field {
-    folder: PathBuf,
+    folder: Option<PathBuf>,
     model: Model,
 }
 
 impl Field {
     /// Opens the model and checks that all sets are there.
-    pub fn open(folder: &Path, args: &EvaluateArgs) -> anyhow::Result<Self> {
-        for set in [TOWNS, TOWN_05, HIGHWAY, BEAMNG, POSES] {
-            for source in set.sources.iter().map(|(source, _)| folder.join(source)) {
+    pub fn open(args: &EvaluateArgs) -> anyhow::Result<Self> {
+        if let Some(folder) = &args.field {
+            let sources = [TOWNS, TOWN_05, HIGHWAY, BEAMNG, POSES].map(|set| set.sources);
+            for source in sources
+                .concat()
+                .iter()
+                .map(|(source, _)| folder.join(source))
+            {
                 if !source.exists() {
                     bail!(
                         "{}: no such file or folder; wanted the image sets that calibration/README.md lists in --field {}",
@@ -95,9 +117,14 @@ impl Field {
             _ => bail!("image sets are compared by one model; wanted one --model"),
         };
         Ok(Self {
-            folder: folder.to_owned(),
+            folder: args.field.clone(),
             model: Model::load_file(model, ModelOptions::default())?,
         })
+    }
+
+    /// Whether there is a folder of image sets.
+    pub fn has_images(&self) -> bool {
+        self.folder.is_some()
     }
 
     /// The model's taps.
@@ -107,10 +134,13 @@ impl Field {
 
     /// Looks at every image of a set.
     pub fn look(&self, set: &FieldSet) -> anyhow::Result<Recordings> {
+        let Some(folder) = &self.folder else {
+            bail!("{}: an image set; wanted --field DIR", set.name);
+        };
         let sources: Vec<String> = set
             .sources
             .iter()
-            .map(|(source, _)| self.folder.join(source).display().to_string())
+            .map(|(source, _)| folder.join(source).display().to_string())
             .collect();
         let surveys = self.model.survey(&sources, Keep::Maps, set.name)?;
         let blocks = set.sources.iter().map(|(_, block_images)| *block_images);
