@@ -27,6 +27,8 @@ use super::Model;
 use crate::args::{BenchArgs, TableFormat};
 use crate::counting;
 
+/// Frames that are shown, over and over.
+const SHOWN: usize = 6;
 /// Longest measurement, and most frames: the rest of 20 s is for rendering and loading.
 const MEASURE: Duration = Duration::from_secs(8);
 const FRAMES_MAX: u64 = 500;
@@ -67,6 +69,8 @@ struct Bench {
     frame_p99_ms: f64,
     /// CPU time of a thread for one frame through all stages; `None` where the machine does not tell.
     cpu_ms: Option<f64>,
+    /// Rendering one frame of the same size.
+    render_ms: f64,
     rss_mib: f64,
     start_ms: f64,
     binary_mib: f64,
@@ -95,7 +99,7 @@ struct Measured {
 }
 
 pub fn run(args: &BenchArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
-    let frames = pictures(args)?;
+    let (frames, render) = pictures(args)?;
     let began = Instant::now();
     let model = Model::load_in(&args.model, args.executor.into())?;
     let shipped = Reference::read(None)
@@ -124,7 +128,7 @@ pub fn run(args: &BenchArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
             })
             .collect::<anyhow::Result<Vec<Measured>>>()
     })?;
-    let bench = summary(args, &model, &measured, start)?;
+    let bench = summary(args, &model, &measured, start, render)?;
     match args.format {
         TableFormat::Json => writeln!(out, "{}", serde_json::to_string_pretty(&bench)?)?,
         TableFormat::Table => table(&bench, out)?,
@@ -132,17 +136,22 @@ pub fn run(args: &BenchArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
     Ok(0)
 }
 
-/// A short rendered drive of the asked size.
-fn pictures(args: &BenchArgs) -> anyhow::Result<Vec<Frame>> {
+/// The first frames of a rendered drive of the asked size, and the median time that rendering one took.
+fn pictures(args: &BenchArgs) -> anyhow::Result<(Vec<Frame>, Duration)> {
     let (width, height) = (args.frame.width, args.frame.height);
-    let mut source = open(&format!(
-        "scene:sim?seed=7&seconds=0.6&size={width}x{height}"
-    ))?;
-    let mut frames = Vec::new();
-    while let Some(frame) = source.next_frame()? {
-        frames.push(frame);
+    let mut source = open(&format!("scene:sim?seed=7&seconds=3&size={width}x{height}"))?;
+    let (mut frames, mut took) = (Vec::new(), Vec::new());
+    loop {
+        let began = Instant::now();
+        let Some(frame) = source.next_frame()? else {
+            break;
+        };
+        took.push(began.elapsed());
+        if frames.len() < SHOWN {
+            frames.push(frame);
+        }
     }
-    Ok(frames)
+    Ok((frames, quantile(took, 50)))
 }
 
 /// A reference for a model that has none: of two short drives, enough to have something to compare with.
@@ -353,6 +362,7 @@ fn summary(
     model: &Model,
     measured: &[Measured],
     start: Duration,
+    render: Duration,
 ) -> anyhow::Result<Bench> {
     let samples: Vec<&Sample> = measured.iter().flat_map(|m| &m.samples).collect();
     let stages: Vec<Stage> = STAGES
@@ -382,6 +392,7 @@ fn summary(
         frame: format!("{}x{}", args.frame.width, args.frame.height),
         frames: samples.len() as u64,
         encoder_ms: stages[1].median_ms,
+        render_ms: ms(render),
         executor: model.encoder.executor(),
         encoder_gflops: (model.encoder.products())
             .map(|products| gflops(products, Duration::from_secs_f64(stages[1].median_ms / 1e3))),
@@ -503,6 +514,12 @@ fn table(bench: &Bench, out: &mut dyn Write) -> anyhow::Result<()> {
         out,
         "encoder run by {}: {speed}{:.1} GFLOP/s that a core can do",
         bench.executor, bench.peak_gflops
+    )?;
+    writeln!(
+        out,
+        "rendering a frame of this size {:.2} ms, {:.0} a second on one thread",
+        bench.render_ms,
+        1e3 / bench.render_ms
     )?;
     if let Some(cpu_ms) = bench.cpu_ms {
         writeln!(out, "CPU time {cpu_ms:.3} ms a frame")?;
