@@ -297,7 +297,7 @@ mod tests {
                 drive(1.0 - share.ln())
             })
             .collect();
-        for wanted in [1.0, 5.0] {
+        for wanted in [2.0, 5.0] {
             let found = calibrated(&drives, wanted, false);
             let judged = found.judged_on.unwrap();
             assert_eq!(judged.drives, 150);
