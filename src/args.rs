@@ -25,6 +25,7 @@ pub enum Command {
     Replay(ReplayArgs),
     Monitor(MonitorArgs),
     Calibrate(CalibrateArgs),
+    Merge(MergeArgs),
     Compare(CompareArgs),
     Scene(SceneArgs),
     Inspect(InspectArgs),
@@ -124,14 +125,19 @@ pub enum Speed {
 /// With several sources every second one is held out to scale the gaps; of a single one, its last third. A rendered
 /// drive with seed=A..B stands for one drive a seed. Drives given with --held-out set the rate of false alarms (every
 /// second one) and judge it (the others); without them the reference says that its rate is not demonstrated.
+///
+/// Drives are taken in an order of their own, so that on the command line does not matter. With --surveys what the encoder
+/// sees of each drive stays on disk: a run that was killed goes on where it was, another metric or rate costs no second
+/// look (but maps, which histograms need, are kept beside means), and gapwatch merge makes one reference of several.
 #[derive(Debug, Args)]
 #[command(after_help = format!("{SOURCES}\n\nExample:\n  gapwatch calibrate --sim town01 town02 --model lane.onnx --taps e2,e3,e4 \
     --size 800x288 --mean 0.36,0.37,0.37 --std 0.26,0.27,0.28 --out town.json"))]
 pub struct CalibrateArgs {
     /// Nominal sources; each is one drive
-    #[arg(long, value_name = "SOURCE", num_args = 1.., required = true)]
+    #[arg(long, value_name = "SOURCE", num_args = 1.., required_unless_present = "shard")]
     pub sim: Vec<String>,
-    /// Roads that the lane model is known to bear; each argument is one more nominal domain
+    /// Roads that the lane model is known to bear; each argument is one more nominal domain, but rendered drives that differ
+    /// in their seeds alone are one
     #[arg(long, value_name = "SOURCE", num_args = 1..)]
     pub accept: Vec<String>,
     /// Nominal drives that set and judge the rate of false alarms
@@ -150,6 +156,37 @@ pub struct CalibrateArgs {
     /// Length of the detector's window, seconds
     #[arg(long, value_name = "SECONDS", default_value_t = 1.0, value_parser = seconds)]
     pub window: f64,
+    /// Folder that keeps what the encoder sees of each drive, one file a drive, for later runs and for gapwatch merge: about 4
+    /// KB a frame of the built-in model, 25 KB for histograms. Left out = a temporary folder in $TMPDIR or /var/tmp
+    #[arg(long, value_name = "DIR")]
+    pub surveys: Option<PathBuf>,
+    /// Only look: FILE lists the drives, of which there may be any number of any role, for gapwatch merge
+    #[arg(long, requires = "surveys")]
+    pub shard: bool,
+    #[command(flatten)]
+    pub model: ModelArgs,
+    /// Reference file to write
+    #[arg(long, value_name = "FILE")]
+    pub out: PathBuf,
+}
+
+/// Merge references, or shards of one, made by gapwatch calibrate
+///
+/// The result is the reference that calibrate would make of all their drives at once, bit for bit, whatever the order and
+/// grouping, on one kind of processor. Surveys are looked for in every folder NAME.surveys beside the files and in those of
+/// --surveys; a drive without one is looked at again.
+#[derive(Debug, Args)]
+#[command(
+    after_help = "Example, on three machines:\n  gapwatch calibrate --sim 'scene:sim?seed=1..200' --surveys a.surveys --shard --out a.json\n  \
+    gapwatch calibrate --sim 'scene:sim?seed=201..400' --surveys b.surveys --shard --out b.json\n  gapwatch merge a.json b.json --out sim.json"
+)]
+pub struct MergeArgs {
+    /// References or shards of the same model, metric, window and wanted rate; no drive may be in two of them
+    #[arg(value_name = "FILE", required = true, num_args = 1..)]
+    pub files: Vec<PathBuf>,
+    /// More folders of surveys, as calibrate --surveys keeps them
+    #[arg(long, value_name = "DIR", num_args = 1..)]
+    pub surveys: Vec<PathBuf>,
     #[command(flatten)]
     pub model: ModelArgs,
     /// Reference file to write

@@ -3,11 +3,13 @@
 //! Everything from here on is 64-bit: activations are 32-bit floats, so their squares and sums can neither overflow nor
 //! vanish, and no comparison downstream has to know the scale of a model.
 
+use serde::{Deserialize, Serialize};
+
 use crate::encoder::FeatureMap;
 use crate::undefined::Undefined;
 
 /// Energy of one block, `[height, width]`, row by row; finite, never negative, and not everywhere the same.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct EnergyMap {
     /// Cells a row.
     pub width: usize,

@@ -1,20 +1,25 @@
 //! Surveys of nominal sources → reference: what is nominal, medians, and thresholds for a wanted rate of false alarms.
 
+use std::borrow::Cow;
 use std::ops::Range;
 use std::time::Duration;
+
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 
 use crate::alarm::Reason;
 use crate::attention::{EnergyMap, Upsampler};
 use crate::detector::Detector;
 use crate::energies::BlockMeans;
-use crate::gap::lane_risk::{Labelled, LaneRisk};
-use crate::gap::moments::{self, EnergyNorm, Moments, energy_levels};
+use crate::gap::lane_risk::LaneRiskFit;
+use crate::gap::moments::{self, EnergyNorm, Moments};
 use crate::gap::{Metric, PAPER_FIRST_LEVEL, PAPER_LEVELS, PAPER_TEMPERATURE};
 use crate::histogram::{Binning, HistogramSum};
 use crate::intake::Intake;
 use crate::reference::{
-    Component, FalseAlarms, Nominal, SPREAD_MIN, ScalePoint, SourceUse, TapReference,
+    Component, FalseAlarms, Nominal, Role, SPREAD_MIN, ScalePoint, SourceUse, TapReference,
 };
+use crate::survey::store::StoreError;
 use crate::survey::{Survey, SurveyFrame};
 use crate::undefined::Undefined;
 
@@ -55,6 +60,9 @@ pub enum CalibrationError {
     /// Too few frames.
     #[error("{0}")]
     TooFew(Undefined),
+    /// A drive that can no longer be read.
+    #[error(transparent)]
+    Store(#[from] StoreError),
     /// Histograms that cannot be compared.
     #[error("tap {tap}, metric {metric}: {why}")]
     Comparison {
@@ -117,46 +125,167 @@ impl TapHistogram {
         metric: Metric,
         paper: PaperBinning,
     ) -> Result<Self, Undefined> {
-        let median_peak_energy = median(maps.iter().map(|map| map.range().1).collect()).ok_or(
-            Undefined::TooFewImages {
-                found: 0,
-                wanted: 1,
-            },
+        let cut = Cut::of(
+            maps.iter().map(|map| map.range().1).collect(),
+            metric,
+            paper,
         )?;
-        let binning = match metric {
-            Metric::Paper => Binning::Attention {
+        let mut masses = cut.masses();
+        for map in maps {
+            masses.add(map);
+        }
+        let mut fitted = cut.nothing_counted(&masses);
+        for map in maps {
+            fitted.add(map)?;
+        }
+        Ok(fitted)
+    }
+
+    /// Counts one more map.
+    ///
+    /// # Errors
+    /// `ConstantMap`.
+    fn add(&mut self, map: &EnergyMap) -> Result<(), Undefined> {
+        self.sum.add(&counts_of(&self.binning, map)?);
+        Ok(())
+    }
+}
+
+/// What the peaks of all images say about how pixels are to be counted: the first of three looks at them. The second sums
+/// the masses between which edges lie, the third counts.
+struct Cut {
+    median_peak_energy: f64,
+    by: CutBy,
+}
+
+enum CutBy {
+    Levels(Binning),
+    /// Edges of equal mass of `ln(energy + epsilon)`, up to the largest energy.
+    Mass {
+        epsilon: f64,
+        peak: f64,
+    },
+}
+
+impl Cut {
+    /// From the largest energy of each image at the common size.
+    ///
+    /// # Errors
+    /// `TooFewImages` without any, `NoScore` of a metric without histograms.
+    fn of(peaks: Vec<f64>, metric: Metric, paper: PaperBinning) -> Result<Self, Undefined> {
+        let peak = peaks.iter().copied().fold(0.0, f64::max);
+        let median_peak_energy = median(peaks).ok_or(Undefined::TooFewImages {
+            found: 0,
+            wanted: 1,
+        })?;
+        let by = match metric {
+            Metric::Paper => CutBy::Levels(Binning::Attention {
                 temperature: match paper.temperature {
                     Temperature::Absolute(t) => t,
                     Temperature::OfPeak(share) => share * median_peak_energy,
                 },
                 levels: paper.levels,
                 first: paper.first,
-            },
-            Metric::Attention(_) => Binning::Attention {
+            }),
+            Metric::Attention(_) => CutBy::Levels(Binning::Attention {
                 temperature: TEMPERATURE_SHARE * median_peak_energy,
                 levels: PAPER_LEVELS,
                 first: 0,
+            }),
+            Metric::LogEnergy(_) => CutBy::Mass {
+                epsilon: EPSILON_SHARE * median_peak_energy,
+                peak,
             },
-            Metric::LogEnergy(_) => {
-                let epsilon = EPSILON_SHARE * median_peak_energy;
-                Binning::LogEnergy {
-                    epsilon,
-                    edges: equal_mass_edges(maps, epsilon),
-                }
-            }
             Metric::Frechet | Metric::Mahalanobis | Metric::LaneRisk => {
                 return Err(Undefined::NoScore);
             }
         };
-        let mut sum = HistogramSum::new(binning.bins());
-        for map in maps {
-            sum.add(&counts_of(&binning, map)?);
-        }
         Ok(Self {
             median_peak_energy,
-            binning,
-            sum,
+            by,
         })
+    }
+
+    /// Masses with nothing summed yet; of attention, which needs none, without cells.
+    #[allow(clippy::cast_precision_loss)]
+    fn masses(&self) -> Masses {
+        match self.by {
+            CutBy::Levels(_) => Masses {
+                epsilon: 0.0,
+                low: 0.0,
+                cell: 1.0,
+                grid: Vec::new(),
+            },
+            CutBy::Mass { epsilon, peak } => {
+                let low = epsilon.ln();
+                let high = (peak + epsilon).ln().max(low);
+                Masses {
+                    epsilon,
+                    low,
+                    cell: (high - low) / GRID_CELLS as f64,
+                    grid: vec![0; GRID_CELLS + 1],
+                }
+            }
+        }
+    }
+
+    /// How pixels are counted, and no counts yet.
+    fn nothing_counted(&self, masses: &Masses) -> TapHistogram {
+        let binning = match &self.by {
+            CutBy::Levels(binning) => binning.clone(),
+            CutBy::Mass { epsilon, .. } => Binning::LogEnergy {
+                epsilon: *epsilon,
+                edges: masses.equal_edges(),
+            },
+        };
+        TapHistogram {
+            median_peak_energy: self.median_peak_energy,
+            sum: HistogramSum::new(binning.bins()),
+            binning,
+        }
+    }
+}
+
+/// Pixels by `ln(energy + epsilon)` in cells of a fine grid.
+#[derive(Clone)]
+struct Masses {
+    epsilon: f64,
+    low: f64,
+    cell: f64,
+    grid: Vec<u64>,
+}
+
+impl Masses {
+    #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)]
+    fn add(&mut self, map: &EnergyMap) {
+        if self.grid.is_empty() {
+            return;
+        }
+        for &g in &map.energy {
+            let index = (((g + self.epsilon).ln() - self.low) / self.cell) as usize;
+            self.grid[index.min(GRID_CELLS)] += 1;
+        }
+    }
+
+    fn merge(&mut self, other: &Self) {
+        let cells = self.grid.iter_mut().zip(&other.grid);
+        cells.for_each(|(own, others)| *own += others);
+    }
+
+    /// Inner edges of bins of equal mass, on cells of the grid; edges that tie are merged.
+    #[allow(clippy::cast_precision_loss)]
+    fn equal_edges(&self) -> Vec<f64> {
+        let total: u64 = self.grid.iter().sum();
+        let mut edges = Vec::with_capacity(LOG_ENERGY_BINS - 1);
+        let (mut below, mut next) = (0_u64, 1_u64);
+        for (index, &count) in self.grid.iter().enumerate() {
+            below += count;
+            if below * LOG_ENERGY_BINS as u64 >= next * total && below < total {
+                edges.push(self.low + (index + 1) as f64 * self.cell);
+                next = below * LOG_ENERGY_BINS as u64 / total + 1;
+            }
+        }
+        edges
     }
 }
 
@@ -167,36 +296,6 @@ impl TapHistogram {
 pub fn counts_of(binning: &Binning, map: &EnergyMap) -> Result<Vec<u32>, Undefined> {
     let mut counts = vec![0; binning.bins()];
     binning.count(map, &mut counts).map(|()| counts)
-}
-
-/// Inner edges of bins of equal mass, on cells of a fine grid; edges that tie are merged.
-#[allow(
-    clippy::cast_precision_loss,
-    clippy::cast_possible_truncation,
-    clippy::cast_sign_loss
-)]
-fn equal_mass_edges(maps: &[&EnergyMap], epsilon: f64) -> Vec<f64> {
-    let low = epsilon.ln();
-    let high = maps
-        .iter()
-        .map(|map| (map.range().1 + epsilon).ln())
-        .fold(low, f64::max);
-    let cell = (high - low) / GRID_CELLS as f64;
-    let mut grid = vec![0_u64; GRID_CELLS + 1];
-    for &g in maps.iter().flat_map(|map| &map.energy) {
-        grid[((((g + epsilon).ln() - low) / cell) as usize).min(GRID_CELLS)] += 1;
-    }
-    let total: u64 = grid.iter().sum();
-    let mut edges = Vec::with_capacity(LOG_ENERGY_BINS - 1);
-    let (mut below, mut next) = (0_u64, 1_u64);
-    for (index, &count) in grid.iter().enumerate() {
-        below += count;
-        if below * LOG_ENERGY_BINS as u64 >= next * total && below < total {
-            edges.push(low + (index + 1) as f64 * cell);
-            next = below * LOG_ENERGY_BINS as u64 / total + 1;
-        }
-    }
-    edges
 }
 
 /// What a reference is to be like.
@@ -210,12 +309,63 @@ pub struct Wanted {
     pub false_alarms_per_hour: f64,
 }
 
+/// A drive that can be looked at as often as needed: in memory, or kept on disk.
+pub trait Drive: Sync {
+    /// As typed.
+    fn source(&self) -> &str;
+
+    /// Frames of the whole drive.
+    fn frames(&self) -> usize;
+
+    /// What the encoder saw of it.
+    ///
+    /// # Errors
+    /// When it can no longer be read.
+    fn survey(&self) -> Result<Cow<'_, Survey>, StoreError>;
+}
+
+impl Drive for Survey {
+    fn source(&self) -> &str {
+        &self.source
+    }
+
+    fn frames(&self) -> usize {
+        self.frames.len()
+    }
+
+    fn survey(&self) -> Result<Cow<'_, Survey>, StoreError> {
+        Ok(Cow::Borrowed(self))
+    }
+}
+
+/// Frames with lane labels that can be looked at as often as needed: in memory, or kept on disk.
+pub trait LabelledDrive: Sync {
+    /// How many.
+    fn frames(&self) -> usize;
+
+    /// The frames.
+    ///
+    /// # Errors
+    /// When they can no longer be read.
+    fn means(&self) -> Result<Cow<'_, [LabelledMeans]>, StoreError>;
+}
+
+impl LabelledDrive for LabelledMeans {
+    fn frames(&self) -> usize {
+        1
+    }
+
+    fn means(&self) -> Result<Cow<'_, [LabelledMeans]>, StoreError> {
+        Ok(Cow::Borrowed(std::slice::from_ref(self)))
+    }
+}
+
 /// Nominal drives of one domain.
-pub struct Domain<'a> {
+pub struct Domain<'a, D> {
     /// `simulation`, or the accepted source as typed.
     pub name: String,
     /// Its drives.
-    pub drives: &'a [Survey],
+    pub drives: &'a [D],
 }
 
 /// What came of a calibration.
@@ -229,31 +379,98 @@ pub struct Calibrated {
 }
 
 /// A drive of which the frames before `fitted` make histograms or moments, and the others scale gaps.
-struct Split<'a> {
-    survey: &'a Survey,
+struct Split<'a, D> {
+    drive: &'a D,
     fitted: usize,
 }
 
 /// With several drives every second one is held out whole; of a single one, its last third.
-fn split(surveys: &[Survey]) -> Vec<Split<'_>> {
-    let alone = surveys.len() == 1;
+fn split<D: Drive>(drives: &[D]) -> Vec<Split<'_, D>> {
+    let alone = drives.len() == 1;
     let share = |index: usize, frames: usize| match (alone, index % 2) {
         (true, _) => frames - frames / 3,
         (false, 0) => frames,
         (false, _) => 0,
     };
-    surveys
+    drives
         .iter()
         .enumerate()
-        .map(|(i, survey)| Split {
-            survey,
-            fitted: share(i, survey.frames.len()),
+        .map(|(i, drive)| Split {
+            drive,
+            fitted: share(i, drive.frames()),
         })
         .collect()
 }
 
+impl<'a, D: Drive> Split<'a, D> {
+    fn fitted(&self) -> Stretch<'a, D> {
+        Stretch {
+            drive: self.drive,
+            range: 0..self.fitted,
+        }
+    }
+
+    fn rest(&self) -> Stretch<'a, D> {
+        Stretch {
+            drive: self.drive,
+            range: self.fitted..self.drive.frames(),
+        }
+    }
+}
+
+/// Some frames of a drive, looked at anew whenever they are needed.
+struct Stretch<'a, D> {
+    drive: &'a D,
+    range: Range<usize>,
+}
+
+impl<D: Drive> Stretch<'_, D> {
+    /// Looks at the frames, all of which must be such as can be judged.
+    fn look<T>(
+        &self,
+        at: impl FnOnce(&Part<'_>) -> Result<T, CalibrationError>,
+    ) -> Result<T, CalibrationError> {
+        let survey = self.drive.survey()?;
+        at(&Part::of(&survey, self.range.clone())?)
+    }
+}
+
+/// Looks at many stretches, one a thread at a time; what came of each, in their order.
+fn look_at_all<D: Drive, T: Send>(
+    stretches: &[Stretch<'_, D>],
+    at: impl Fn(&Part<'_>) -> Result<T, CalibrationError> + Sync,
+) -> Result<Vec<T>, CalibrationError> {
+    let seen: Vec<_> = stretches
+        .par_iter()
+        .map(|stretch| stretch.look(&at))
+        .collect();
+    seen.into_iter().collect()
+}
+
+/// Sums over many stretches, one a thread at a time. `merge` must not care for order, as sums of integers do not.
+fn sum_over_all<D: Drive, T: Send + Sync + Clone>(
+    stretches: &[Stretch<'_, D>],
+    nothing: &T,
+    add: impl Fn(&mut T, &Part<'_>) -> Result<(), CalibrationError> + Sync,
+    merge: impl Fn(&mut T, &T) + Sync,
+) -> Result<T, CalibrationError> {
+    stretches
+        .par_iter()
+        .try_fold(
+            || nothing.clone(),
+            |mut sum, stretch| stretch.look(|part| add(&mut sum, part)).map(|()| sum),
+        )
+        .try_reduce(
+            || nothing.clone(),
+            |mut sum, other| {
+                merge(&mut sum, &other);
+                Ok(sum)
+            },
+        )
+}
+
 /// A frame with lane labels: what the encoder saw, and what the lane model lost.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct LabelledMeans {
     /// Means of each block.
     pub means: Vec<BlockMeans>,
@@ -263,105 +480,93 @@ pub struct LabelledMeans {
 
 /// Makes the nominal domains of a reference and the thresholds that keep the wanted rate of false alarms.
 ///
-/// Every second drive of each domain makes histograms or moments, the others scale the gaps of windows. The rate is set on
-/// three of every four drives of `held_out` and judged on the fourth; without any, the drives that scale the gaps serve for both,
-/// and the reference says so. `labelled` frames are for the metric `lane-risk` alone.
+/// The first domain is the simulation. Every second drive of each domain makes histograms or moments, the others scale the
+/// gaps of windows. The rate is set on three of every four drives of `held_out` and judged on the fourth; without any, the
+/// drives that scale the gaps serve for both, and the reference says so. `labelled` frames are for the metric `lane-risk`
+/// alone.
+///
+/// Drives are looked at several times, one a thread at a time; what is kept of them meanwhile is less than 100 bytes a
+/// frame. The result does not depend on the number of threads.
 ///
 /// # Errors
-/// When a frame cannot be judged or too few are at hand.
-pub fn calibrate(
-    domains: &[Domain<'_>],
-    held_out: &[Survey],
-    labelled: &[LabelledMeans],
+/// When a frame cannot be judged, too few are at hand, or a drive can no longer be read.
+pub fn calibrate<D: Drive, L: LabelledDrive>(
+    domains: &[Domain<'_, D>],
+    held_out: &[D],
+    labelled: &[L],
     taps: &[String],
     wanted: Wanted,
 ) -> Result<Calibrated, CalibrationError> {
     let mut sources = Vec::new();
     let mut components: Vec<Component> = Vec::new();
-    let mut scaling: Vec<Part<'_>> = Vec::new();
+    let mut scaling: Vec<Stretch<'_, D>> = Vec::new();
     let mut simulation: Option<Vec<Moments>> = None;
-    for domain in domains {
+    for (index, domain) in domains.iter().enumerate() {
         let splits = split(domain.drives);
         sources.extend(splits.iter().map(|split| SourceUse {
-            source: split.survey.source.clone(),
-            frames: split.survey.frames.len() as u64,
+            source: split.drive.source().to_owned(),
+            role: Some(match index {
+                0 => Role::Simulation,
+                _ => Role::Accepted,
+            }),
+            frames: split.drive.frames() as u64,
             fitted: split.fitted as u64,
-            held_out: (split.survey.frames.len() - split.fitted) as u64,
+            held_out: split.rest().range.len() as u64,
         }));
-        let mut fitted = Vec::new();
-        let mut scaled = Vec::new();
-        for Split { survey, fitted: n } in &splits {
-            fitted.extend(Part::of(survey, 0..*n)?.frames);
-            let rest = Part::of(survey, *n..survey.frames.len())?;
-            if !rest.frames.is_empty() {
-                scaled.push(rest);
-            }
-        }
-        let found: usize = scaled.iter().map(|part| part.frames.len()).sum();
+        let some = |stretch: &Stretch<'_, D>| !stretch.range.is_empty();
+        let fitted: Vec<_> = splits.iter().map(Split::fitted).filter(some).collect();
+        let scaled: Vec<_> = splits.iter().map(Split::rest).filter(some).collect();
+        let found: usize = scaled.iter().map(|stretch| stretch.range.len()).sum();
         if found < HELD_OUT_MIN {
             return Err(CalibrationError::TooFew(Undefined::TooFewImages {
                 found,
                 wanted: HELD_OUT_MIN,
             }));
         }
-        let common_size = domain.drives[0].common_size;
-        let moments = match wanted.metric.divergence() {
-            Some(_) => Vec::new(),
-            None => fitted_moments(&fitted, taps.len(), components.first()),
+        let fitting = Fitting {
+            fitted: &fitted,
+            taps,
+            metric: wanted.metric,
         };
-        let drives = splits.iter().filter(|split| split.fitted > 0).count();
-        let nominal = taps.iter().enumerate().map(|(index, tap)| {
-            let of = Fitted {
-                index,
-                frames: &fitted,
-                common_size,
-                moments: moments.get(index),
-                wider: simulation.as_ref().map(|all| (&all[index], drives)),
-                simulation: components.first(),
-                labelled,
-            };
-            of.tap_reference(tap, wanted.metric)
-        });
+        let taps = match wanted.metric.divergence() {
+            Some(_) => fitting.histograms()?,
+            None => {
+                let (peaks, moments) = fitting.moments(components.first())?;
+                let taps = fitting.energies(
+                    &peaks,
+                    &moments,
+                    simulation.as_deref(),
+                    components.first(),
+                    labelled,
+                )?;
+                simulation.get_or_insert(moments);
+                taps
+            }
+        };
         let mut component = Component {
             name: domain.name.clone(),
-            taps: nominal.collect::<Result<_, _>>()?,
+            taps,
         };
-        let tracks = scaled
-            .iter()
-            .map(|part| part.track(wanted.metric, std::slice::from_ref(&component)))
-            .collect::<Result<Vec<_>, _>>()?;
-        let mut from = 0;
-        for tap in &mut component.taps {
-            let columns = from..from + tap.nominal.len();
-            from = columns.end;
-            let points = WINDOW_FRAMES.into_iter().filter_map(|frames| {
-                scale_point(&tracks, columns.clone(), frames, &tap.nominal, wanted).transpose()
-            });
-            tap.scale = points
-                .collect::<Result<_, _>>()
-                .map_err(|why| wrong(&tap.tap, wanted.metric, why))?;
-        }
-        if simulation.is_none() && !moments.is_empty() {
-            simulation = Some(moments);
-        }
+        scale(&mut component, &scaled, wanted)?;
         components.push(component);
         scaling.extend(scaled);
     }
-    let optimistic = held_out.is_empty();
-    let held_out = held_out
-        .iter()
-        .map(|survey| Part::of(survey, 0..survey.frames.len()))
-        .collect::<Result<Vec<_>, _>>()?;
-    sources.extend(held_out.iter().map(|part| SourceUse {
-        source: part.survey.source.clone(),
-        frames: part.frames.len() as u64,
+    sources.extend(held_out.iter().map(|drive| SourceUse {
+        source: drive.source().to_owned(),
+        role: Some(Role::HeldOut),
+        frames: drive.frames() as u64,
         fitted: 0,
-        held_out: part.frames.len() as u64,
+        held_out: drive.frames() as u64,
     }));
-    let drives = if optimistic { &scaling } else { &held_out }
-        .iter()
-        .map(|part| part.scores(wanted, &components))
-        .collect::<Result<Vec<_>, _>>()?;
+    let optimistic = held_out.is_empty();
+    if !optimistic {
+        let whole = held_out.iter().map(|drive| Stretch {
+            drive,
+            range: 0..drive.frames(),
+        });
+        scaling = whole.collect();
+    }
+    let drives = look_at_all(&scaling, |part| part.scores(wanted, &components))?;
     let false_alarms = false_alarms::calibrated(&drives, wanted.false_alarms_per_hour, optimistic);
     for tap in components
         .iter_mut()
@@ -419,6 +624,20 @@ impl<'a> Part<'a> {
             source_name: self.survey.source.clone(),
             frame: self.first + index,
             why,
+        }
+    }
+
+    /// The maps of one tap at the common size, frame by frame.
+    fn common_maps(&self, tap: usize, mut each: impl FnMut(&EnergyMap)) {
+        let mut upsampler = None;
+        let mut common = EnergyMap::default();
+        for frame in &self.frames {
+            let map = &frame.maps[tap];
+            let size = (map.width, map.height);
+            let upsampler =
+                upsampler.get_or_insert_with(|| Upsampler::new(size, self.survey.common_size));
+            upsampler.resample(map, &mut common);
+            each(&common);
         }
     }
 
@@ -518,136 +737,21 @@ impl Track {
             Some(from..next)
         })
     }
-}
 
-/// What the nominal values of one tap are made of.
-struct Fitted<'a> {
-    index: usize,
-    frames: &'a [&'a SurveyFrame],
-    common_size: (usize, usize),
-    /// Of the energies, for a metric on them.
-    moments: Option<&'a Moments>,
-    /// The simulation's moments and the own drives, of an accepted domain.
-    wider: Option<(&'a Moments, usize)>,
-    /// The simulation's component, of an accepted domain.
-    simulation: Option<&'a Component>,
-    labelled: &'a [LabelledMeans],
-}
-
-/// The energies' moments of all taps; with the epsilon of the simulation when there is one.
-fn fitted_moments(
-    fitted: &[&SurveyFrame],
-    taps: usize,
-    simulation: Option<&Component>,
-) -> Vec<Moments> {
-    (0..taps)
-        .map(|tap| {
-            let epsilon = epsilon_of(fitted, tap, simulation);
-            let energies = fitted.iter().map(|seen| seen.means[tap].energy.as_slice());
-            Moments::of(energies, epsilon)
-        })
-        .collect()
-}
-
-fn epsilon_of(fitted: &[&SurveyFrame], tap: usize, simulation: Option<&Component>) -> f64 {
-    if let Some(Nominal::Energies(norm)) = simulation.map(|of| &of.taps[tap].nominal) {
-        return norm.epsilon;
-    }
-    moments::EPSILON_SHARE
-        * median(fitted.iter().map(|seen| seen.peaks[tap]).collect()).unwrap_or(1.0)
-}
-
-impl Fitted<'_> {
-    /// What is nominal of the tap; its gaps are not scaled yet.
-    fn tap_reference(&self, tap: &str, metric: Metric) -> Result<TapReference, CalibrationError> {
-        let wrong = |why| wrong(tap, metric, why);
-        let (median_peak_energy, images, nominal) = match self.moments {
-            Some(moments) => {
-                let peaks = self
-                    .frames
-                    .iter()
-                    .map(|seen| seen.peaks[self.index])
-                    .collect();
-                let peak = median(peaks).ok_or(wrong(Undefined::NoScore))?;
-                let nominal = self.energies(moments, metric).map_err(wrong)?;
-                (peak, moments.frames(), nominal)
-            }
-            None => {
-                let maps = self.common_maps();
-                let maps: Vec<&EnergyMap> = maps.iter().collect();
-                let fitted =
-                    TapHistogram::fit(&maps, metric, PaperBinning::PUBLISHED).map_err(wrong)?;
-                let nominal = Nominal::Histogram {
-                    binning: fitted.binning,
-                    counts: fitted.sum.counts,
-                };
-                (fitted.median_peak_energy, fitted.sum.images, nominal)
-            }
-        };
-        Ok(TapReference {
-            tap: tap.to_owned(),
-            median_peak_energy,
-            images,
-            nominal,
-            scale: Vec::new(),
-        })
-    }
-
-    fn energies(&self, moments: &Moments, metric: Metric) -> Result<Nominal, Undefined> {
-        let epsilon = epsilon_of(self.frames, self.index, self.simulation);
-        if metric != Metric::LaneRisk {
-            return EnergyNorm::fit(epsilon, moments, self.wider).map(Nominal::Energies);
-        }
-        let levels: Vec<Vec<u32>> = self
-            .labelled
-            .iter()
-            .map(|frame| {
-                let energy = &frame.means[self.index].energy;
-                let mut levels = vec![0; energy.len()];
-                energy_levels(energy, epsilon, &mut levels);
-                levels
-            })
-            .collect();
-        let labelled: Vec<Labelled<'_>> = levels
-            .iter()
-            .zip(self.labelled)
-            .map(|(levels, frame)| Labelled {
-                levels,
-                loss: frame.loss,
-            })
-            .collect();
-        LaneRisk::fit(epsilon, moments, &labelled).map(Nominal::LaneRisk)
-    }
-
-    fn common_maps(&self) -> Vec<EnergyMap> {
-        let maps = self.frames.iter().map(|frame| &frame.maps[self.index]);
-        let mut upsampler = None;
-        maps.map(|map| {
-            let upsampler = upsampler
-                .get_or_insert_with(|| Upsampler::new((map.width, map.height), self.common_size));
-            let mut common = EnergyMap::default();
-            upsampler.resample(map, &mut common);
-            common
-        })
-        .collect()
-    }
-}
-
-/// Median and threshold over windows of which `frames` frames are taken, evenly spread; `None` without enough windows.
-fn scale_point(
-    tracks: &[Track],
-    columns: Range<usize>,
-    frames: usize,
-    nominal: &Nominal,
-    wanted: Wanted,
-) -> Result<Option<ScalePoint>, Undefined> {
-    let mut gaps = Vec::new();
-    for track in tracks {
-        for window in track.windows(wanted.window_s) {
+    /// Gaps of the windows of which `frames` frames are taken, evenly spread.
+    fn gaps(
+        &self,
+        columns: Range<usize>,
+        frames: usize,
+        nominal: &Nominal,
+        wanted: Wanted,
+    ) -> Result<Vec<f64>, Undefined> {
+        let mut gaps = Vec::new();
+        for window in self.windows(wanted.window_s) {
             if window.len() < frames {
                 continue;
             }
-            let rows: Vec<&[u32]> = track.rows(window).collect();
+            let rows: Vec<&[u32]> = self.rows(window).collect();
             let mut sums = vec![0_u64; columns.len()];
             for index in 0..frames {
                 let row = &rows[index * rows.len() / frames][columns.clone()];
@@ -657,24 +761,251 @@ fn scale_point(
             }
             gaps.push(nominal.compare(wanted.metric, &sums, frames)?.gap);
         }
+        Ok(gaps)
     }
+}
+
+/// What the nominal values of a domain are made of.
+struct Fitting<'a, D> {
+    fitted: &'a [Stretch<'a, D>],
+    taps: &'a [String],
+    metric: Metric,
+}
+
+impl<D: Drive> Fitting<'_, D> {
+    fn wrong(&self, tap: usize, why: Undefined) -> CalibrationError {
+        wrong(&self.taps[tap], self.metric, why)
+    }
+
+    /// By tap, what each stretch has of each frame, in order.
+    fn peaks(
+        &self,
+        of: impl Fn(&Part<'_>, usize) -> Vec<f64> + Sync,
+    ) -> Result<Vec<Vec<f64>>, CalibrationError> {
+        let taps = 0..self.taps.len();
+        let seen = look_at_all(self.fitted, |part| {
+            Ok(taps.clone().map(|tap| of(part, tap)).collect::<Vec<_>>())
+        })?;
+        let of_tap = |tap: usize| seen.iter().flat_map(move |part| part[tap].iter().copied());
+        Ok(taps.map(|tap| of_tap(tap).collect()).collect())
+    }
+
+    /// What is nominal of each tap, by its histogram; the gaps are not scaled yet.
+    fn histograms(&self) -> Result<Vec<TapReference>, CalibrationError> {
+        let peaks = self.peaks(|part, tap| {
+            let mut peaks = Vec::with_capacity(part.frames.len());
+            part.common_maps(tap, |map| peaks.push(map.range().1));
+            peaks
+        })?;
+        let cut = |(tap, peaks)| {
+            Cut::of(peaks, self.metric, PaperBinning::PUBLISHED).map_err(|why| self.wrong(tap, why))
+        };
+        let cuts: Vec<Cut> = peaks
+            .into_iter()
+            .enumerate()
+            .map(cut)
+            .collect::<Result<_, _>>()?;
+        let mut masses: Vec<Masses> = cuts.iter().map(Cut::masses).collect();
+        if masses.iter().any(|masses| !masses.grid.is_empty()) {
+            masses = sum_over_all(
+                self.fitted,
+                &masses,
+                |sums, part| {
+                    for (tap, sum) in sums.iter_mut().enumerate() {
+                        part.common_maps(tap, |map| sum.add(map));
+                    }
+                    Ok(())
+                },
+                |sums, others| sums.iter_mut().zip(others).for_each(|(a, b)| a.merge(b)),
+            )?;
+        }
+        let nothing: Vec<TapHistogram> = cuts
+            .iter()
+            .zip(&masses)
+            .map(|(cut, masses)| cut.nothing_counted(masses))
+            .collect();
+        let counted = sum_over_all(
+            self.fitted,
+            &nothing,
+            |sums, part| {
+                for (tap, sum) in sums.iter_mut().enumerate() {
+                    let mut counted = Ok(());
+                    part.common_maps(tap, |map| {
+                        if counted.is_ok() {
+                            counted = sum.add(map);
+                        }
+                    });
+                    counted.map_err(|why| self.wrong(tap, why))?;
+                }
+                Ok(())
+            },
+            |sums, others| {
+                let sums = sums.iter_mut().zip(others);
+                sums.for_each(|(a, b)| a.sum.merge(&b.sum));
+            },
+        )?;
+        let nominal = self
+            .taps
+            .iter()
+            .zip(counted)
+            .map(|(tap, fitted)| TapReference {
+                tap: tap.clone(),
+                median_peak_energy: fitted.median_peak_energy,
+                images: fitted.sum.images,
+                nominal: Nominal::Histogram {
+                    binning: fitted.binning,
+                    counts: fitted.sum.counts,
+                },
+                scale: Vec::new(),
+            });
+        Ok(nominal.collect())
+    }
+
+    /// Median peak energy and moments of each tap; with the epsilon of the simulation when there is one.
+    fn moments(
+        &self,
+        simulation: Option<&Component>,
+    ) -> Result<(Vec<f64>, Vec<Moments>), CalibrationError> {
+        let peaks =
+            self.peaks(|part, tap| part.frames.iter().map(|seen| seen.peaks[tap]).collect())?;
+        let medians = peaks
+            .into_iter()
+            .enumerate()
+            .map(|(tap, peaks)| median(peaks).ok_or_else(|| self.wrong(tap, Undefined::NoScore)));
+        let peaks: Vec<f64> = medians.collect::<Result<_, _>>()?;
+        let epsilons: Vec<f64> = peaks
+            .iter()
+            .enumerate()
+            .map(|(tap, peak)| epsilon_of(*peak, tap, simulation))
+            .collect();
+        let nothing = vec![Moments::new(0); self.taps.len()];
+        let moments = sum_over_all(
+            self.fitted,
+            &nothing,
+            |sums, part| {
+                for (tap, (sum, &epsilon)) in sums.iter_mut().zip(&epsilons).enumerate() {
+                    let energies = part
+                        .frames
+                        .iter()
+                        .map(|seen| seen.means[tap].energy.as_slice());
+                    sum.merge(&Moments::of(energies, epsilon));
+                }
+                Ok(())
+            },
+            |sums, others| sums.iter_mut().zip(others).for_each(|(a, b)| a.merge(b)),
+        )?;
+        Ok((peaks, moments))
+    }
+
+    /// What is nominal of each tap, by its energies; the gaps are not scaled yet. `wider` and `simulation` are there for an
+    /// accepted domain.
+    fn energies<L: LabelledDrive>(
+        &self,
+        peaks: &[f64],
+        moments: &[Moments],
+        wider: Option<&[Moments]>,
+        simulation: Option<&Component>,
+        labelled: &[L],
+    ) -> Result<Vec<TapReference>, CalibrationError> {
+        let epsilon = |tap: usize| epsilon_of(peaks[tap], tap, simulation);
+        let nominal: Vec<Nominal> = if self.metric == Metric::LaneRisk {
+            let frames = labelled.iter().map(LabelledDrive::frames).sum();
+            let mut fits = (0..self.taps.len())
+                .map(|tap| {
+                    LaneRiskFit::new(epsilon(tap), &moments[tap], frames)
+                        .map_err(|why| self.wrong(tap, why))
+                })
+                .collect::<Result<Vec<_>, _>>()?;
+            for drive in labelled {
+                for frame in drive.means()?.iter() {
+                    for (fit, means) in fits.iter_mut().zip(&frame.means) {
+                        fit.add(&means.energy, frame.loss);
+                    }
+                }
+            }
+            let fitted = fits.into_iter().enumerate().map(|(tap, fit)| {
+                let risk = fit.solve().map_err(|why| self.wrong(tap, why))?;
+                Ok(Nominal::LaneRisk(risk))
+            });
+            fitted.collect::<Result<_, CalibrationError>>()?
+        } else {
+            let norms = (0..self.taps.len()).map(|tap| {
+                let wider = wider.map(|all| (&all[tap], self.fitted.len()));
+                EnergyNorm::fit(epsilon(tap), &moments[tap], wider)
+                    .map(Nominal::Energies)
+                    .map_err(|why| self.wrong(tap, why))
+            });
+            norms.collect::<Result<_, _>>()?
+        };
+        let taps = self.taps.iter().zip(nominal).enumerate();
+        let references = taps.map(|(index, (tap, nominal))| TapReference {
+            tap: tap.clone(),
+            median_peak_energy: peaks[index],
+            images: moments[index].frames(),
+            nominal,
+            scale: Vec::new(),
+        });
+        Ok(references.collect())
+    }
+}
+
+fn epsilon_of(median_peak_energy: f64, tap: usize, simulation: Option<&Component>) -> f64 {
+    match simulation.map(|of| &of.taps[tap].nominal) {
+        Some(Nominal::Energies(norm)) => norm.epsilon,
+        _ => moments::EPSILON_SHARE * median_peak_energy,
+    }
+}
+
+/// Scales the gaps of a domain by those of windows of its own drives.
+fn scale<D: Drive>(
+    component: &mut Component,
+    scaled: &[Stretch<'_, D>],
+    wanted: Wanted,
+) -> Result<(), CalibrationError> {
+    let own = std::slice::from_ref(&*component);
+    // [drives][taps][window lengths][windows]
+    let gaps = look_at_all(scaled, |part| {
+        let track = part.track(wanted.metric, own)?;
+        let mut from = 0;
+        let of_taps = own[0].taps.iter().map(|tap| {
+            let columns = from..from + tap.nominal.len();
+            from = columns.end;
+            let lengths = WINDOW_FRAMES
+                .iter()
+                .map(|&frames| track.gaps(columns.clone(), frames, &tap.nominal, wanted));
+            let gaps: Result<Vec<_>, _> = lengths.collect();
+            gaps.map_err(|why| wrong(&tap.tap, wanted.metric, why))
+        });
+        of_taps.collect::<Result<Vec<_>, _>>()
+    })?;
+    for (index, tap) in component.taps.iter_mut().enumerate() {
+        let points = WINDOW_FRAMES.into_iter().enumerate();
+        tap.scale = points
+            .filter_map(|(length, frames)| {
+                let of_drives = gaps.iter().flat_map(|drive| &drive[index][length]);
+                scale_point(of_drives.copied().collect(), frames)
+            })
+            .collect();
+    }
+    Ok(())
+}
+
+/// Median and threshold of the gaps of windows of `frames` frames; `None` without enough windows.
+fn scale_point(mut gaps: Vec<f64>, frames: usize) -> Option<ScalePoint> {
     let windows = gaps.len();
     gaps.sort_by(f64::total_cmp);
     let high = quantile(&gaps, THRESHOLD_QUANTILE);
     let (Some(median), Some(high)) = (median(gaps), high) else {
-        return Ok(None);
+        return None;
     };
-    if windows < 2 {
-        return Ok(None);
-    }
     // A metric that cannot tell windows apart still gets a threshold above its median.
     let threshold = high.max(median + SPREAD_MIN);
-    Ok(Some(ScalePoint {
+    (windows >= 2).then_some(ScalePoint {
         frames,
         windows,
         median,
         threshold,
-    }))
+    })
 }
 
 /// The value that a share of rising values does not exceed.

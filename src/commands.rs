@@ -6,10 +6,12 @@ mod calibrate;
 mod compare;
 mod evaluate;
 mod inspect;
+mod merge;
 mod monitor;
 mod new_folder;
 mod pictures;
 mod progress;
+mod recipe;
 mod replay;
 mod report;
 mod scene;
@@ -35,6 +37,7 @@ pub fn run(command: Command, out: &mut dyn Write) -> anyhow::Result<u8> {
         Command::Replay(args) => replay::run(&args, out),
         Command::Monitor(args) => monitor::run(&args, out),
         Command::Calibrate(args) => calibrate::run(&args, out),
+        Command::Merge(args) => merge::run(&args, out),
         Command::Compare(args) => compare::run(&args, out),
         Command::Scene(args) => scene::run(&args, out),
         Command::Inspect(args) => inspect::run(&args, out),

@@ -1,5 +1,7 @@
 //! Frame → energy maps of the tapped blocks: preprocessing, encoder and attention in one stage with its buffers.
 
+use serde::{Deserialize, Serialize};
+
 use crate::attention::{EnergyMap, common_size, energy_from_features};
 use crate::encoder::{Encoder, EncoderError, EncoderSession, FeatureMap};
 use crate::frame::{Frame, Picture};
@@ -25,7 +27,7 @@ pub const CELLS: usize = GRID * GRID;
 
 /// What one block finds in a picture, channel by channel over the whole map, and how much of it where, cell by cell over
 /// all channels.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct BlockMeans {
     /// `[channels]`, mean activation.
     pub activation: Vec<f64>,

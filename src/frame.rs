@@ -7,6 +7,7 @@
 mod camera;
 mod drive;
 mod images;
+mod names;
 pub mod newest;
 pub mod pixels;
 mod random;
@@ -14,6 +15,8 @@ mod video;
 
 use std::path::{Path, PathBuf};
 use std::time::Duration;
+
+pub use names::{drives, ranges, sort_drives, stamp, template};
 
 use crate::board::CameraWish;
 use crate::scene::{DriveSpec, SpecError};
@@ -181,38 +184,6 @@ pub fn open(name: &str) -> Result<Box<dyn FrameSource>, SourceError> {
     Ok(Box::new(video::VideoSource::open(path)?))
 }
 
-/// Most drives that one name may stand for.
-const DRIVES_MAX: u64 = 10_000;
-
-/// The drives that a name stands for: one, or for `scene:…seed=A..B…` one a seed, both ends included.
-///
-/// # Errors
-/// When the range is empty or too long.
-pub fn drives(name: &str) -> Result<Vec<String>, SourceError> {
-    let Some((start, seeds)) = name.strip_prefix("scene:").and_then(|spec| {
-        let start = spec.find("seed=")? + "scene:seed=".len();
-        let seeds = name[start..].split('&').next()?;
-        seeds.contains("..").then_some((start, seeds))
-    }) else {
-        return Ok(vec![name.to_owned()]);
-    };
-    let range = seeds
-        .split_once("..")
-        .and_then(|(from, to)| Some((from.parse::<u64>().ok()?, to.parse::<u64>().ok()?)));
-    match range {
-        Some((from, to)) if from <= to && to - from < DRIVES_MAX => {
-            let (before, after) = (&name[..start], &name[start + seeds.len()..]);
-            Ok((from..=to)
-                .map(|seed| format!("{before}{seed}{after}"))
-                .collect())
-        }
-        _ => Err(SourceError::Name {
-            found: name.to_owned(),
-            wanted: format!("wanted seed=A..B, A not above B, at most {DRIVES_MAX} seeds"),
-        }),
-    }
-}
-
 /// Splits `PATH?fps=N`; a path that exists as typed is taken whole.
 fn path_and_fps(name: &str) -> Result<(&Path, Option<f64>), SourceError> {
     match name.rsplit_once("?fps=") {
@@ -239,27 +210,6 @@ pub(crate) fn time_of(sequence: u64, fps: f64) -> Duration {
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
-
-    #[test]
-    fn a_range_of_seeds_stands_for_one_drive_a_seed() {
-        assert_eq!(
-            drives("scene:sim?seed=9..11&seconds=5").unwrap(),
-            [
-                "scene:sim?seed=9&seconds=5",
-                "scene:sim?seed=10&seconds=5",
-                "scene:sim?seed=11&seconds=5"
-            ]
-        );
-        assert_eq!(drives("scene:sim?seed=9").unwrap(), ["scene:sim?seed=9"]);
-        assert_eq!(drives("a..b").unwrap(), ["a..b"]);
-        for wrong in [
-            "scene:sim?seed=3..1",
-            "scene:sim?seed=..",
-            "scene:sim?seed=0..99999",
-        ] {
-            assert!(drives(wrong).is_err(), "{wrong}");
-        }
-    }
 
     #[test]
     fn sources_that_cannot_be_opened_say_why() {

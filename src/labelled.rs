@@ -101,13 +101,13 @@ pub fn conditions(number: usize) -> impl Iterator<Item = Condition> {
         kind,
         // 1 to 5.
         #[allow(clippy::cast_precision_loss)]
-        severity: ((number + index) % SEVERITIES + 1) as f32,
+        severity: ((number % SEVERITIES + index) % SEVERITIES + 1) as f32,
         span_s: None,
     })
 }
 
-/// Frames that a forecast of the lane model's loss is learnt from: every drive plain and under each kind of condition.
-/// `kinds` says which; `seen` is called after each drive.
+/// Frames that a forecast of the lane model's loss is learnt from: every drive plain and under each kind of condition, at
+/// severities in turn. `seen` is called after each drive.
 ///
 /// # Errors
 /// When the encoder cannot be run at all.
@@ -118,21 +118,7 @@ pub fn training_frames(
     seen: &(dyn Fn() + Sync),
 ) -> Result<Vec<(ConditionKind, LabelledMeans)>, EncoderError> {
     let of_drive = |(number, plain): (usize, &DriveSpec)| {
-        let look = |spec: &DriveSpec| LabelledSurvey::of(spec, encoder, preprocessing, Keep::Means);
-        let clean = look(plain)?;
-        let mut frames = Vec::new();
-        for condition in conditions(number) {
-            let mut spec = plain.clone();
-            spec.conditions.push(condition);
-            let shifted = look(&spec)?;
-            let overlaps = shifted.overlaps.iter().zip(&clean.overlaps);
-            for (frame, (&shifted, &clean)) in shifted.survey.frames.into_iter().zip(overlaps) {
-                if let (Ok(frame), Some(loss)) = (frame, loss(shifted, clean)) {
-                    let means = frame.means;
-                    frames.push((condition.kind, LabelledMeans { means, loss }));
-                }
-            }
-        }
+        let frames = frames_of(plain, number, encoder, preprocessing)?;
         seen();
         Ok(frames)
     };
@@ -142,6 +128,35 @@ pub fn training_frames(
         .map(of_drive)
         .collect::<Result<_, _>>()?;
     Ok(all.into_iter().flatten().collect())
+}
+
+/// Frames of one drive under each kind of condition, with what the lane model loses there; `number` sets the severities as
+/// [`conditions`] says. Frames in which it sees too little of the lanes in plain day are left out.
+///
+/// # Errors
+/// When the encoder cannot be run at all.
+pub fn frames_of(
+    plain: &DriveSpec,
+    number: usize,
+    encoder: &Encoder,
+    preprocessing: &Preprocessing,
+) -> Result<Vec<(ConditionKind, LabelledMeans)>, EncoderError> {
+    let look = |spec: &DriveSpec| LabelledSurvey::of(spec, encoder, preprocessing, Keep::Means);
+    let clean = look(plain)?;
+    let mut frames = Vec::new();
+    for condition in conditions(number) {
+        let mut spec = plain.clone();
+        spec.conditions.push(condition);
+        let shifted = look(&spec)?;
+        let overlaps = shifted.overlaps.iter().zip(&clean.overlaps);
+        for (frame, (&shifted, &clean)) in shifted.survey.frames.into_iter().zip(overlaps) {
+            if let (Ok(frame), Some(loss)) = (frame, loss(shifted, clean)) {
+                let means = frame.means;
+                frames.push((condition.kind, LabelledMeans { means, loss }));
+            }
+        }
+    }
+    Ok(frames)
 }
 
 #[cfg(test)]

@@ -60,6 +60,7 @@ pub mod survey;
 
 pub mod calibration;
 pub mod comparison;
+pub mod shard;
 
 pub mod evaluation;
 pub mod heat;

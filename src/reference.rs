@@ -150,12 +150,29 @@ pub struct Provenance {
 pub struct SourceUse {
     /// As typed.
     pub source: String,
+    /// What it was there for; unknown of references that were made before roles were written.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub role: Option<Role>,
     /// Frames it gave.
     pub frames: u64,
     /// Frames that made the histograms.
     pub fitted: u64,
     /// Frames that made medians and thresholds.
     pub held_out: u64,
+}
+
+/// What a source was there for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Role {
+    /// The first nominal domain.
+    Simulation,
+    /// One more nominal domain.
+    Accepted,
+    /// Sets and judges the rate of false alarms.
+    HeldOut,
+    /// What the lane model loses is learnt from it.
+    Labelled,
 }
 
 /// Nominal attention of one tapped block.
@@ -256,6 +273,21 @@ impl ModelFingerprint {
             preprocessing: spec.preprocessing.clone(),
             resize: RESIZE_KERNEL.to_owned(),
         }
+    }
+
+    /// The first part in which another model sees otherwise: what it is, here and there. Names do not matter.
+    pub fn difference(&self, other: &Self) -> Option<(&'static str, String, String)> {
+        let parts = [
+            ("hash", self.sha256.clone(), other.sha256.clone()),
+            ("taps", self.taps.join(","), other.taps.join(",")),
+            (
+                "preprocessing",
+                self.preprocessing.to_string(),
+                other.preprocessing.to_string(),
+            ),
+            ("resize kernel", self.resize.clone(), other.resize.clone()),
+        ];
+        parts.into_iter().find(|(_, ours, theirs)| ours != theirs)
     }
 }
 
@@ -358,18 +390,7 @@ impl Reference {
     /// # Errors
     /// `OtherModel` with the first part that differs.
     pub fn check_fits(&self, name: &str, model: &ModelFingerprint) -> Result<(), ReferenceError> {
-        let (ours, theirs) = (&self.model, model);
-        let parts = [
-            ("hash", ours.sha256.clone(), theirs.sha256.clone()),
-            ("taps", ours.taps.join(","), theirs.taps.join(",")),
-            (
-                "preprocessing",
-                ours.preprocessing.to_string(),
-                theirs.preprocessing.to_string(),
-            ),
-            ("resize kernel", ours.resize.clone(), theirs.resize.clone()),
-        ];
-        match parts.into_iter().find(|(_, wanted, found)| wanted != found) {
+        match self.model.difference(model) {
             None => Ok(()),
             Some((what, wanted, found)) => Err(ReferenceError::OtherModel {
                 name: name.to_owned(),

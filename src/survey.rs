@@ -2,6 +2,8 @@
 
 use std::time::Duration;
 
+use serde::{Deserialize, Serialize};
+
 use crate::attention::{EnergyMap, Upsampler};
 use crate::encoder::{Encoder, EncoderError};
 use crate::energies::{BlockMeans, EnergyStage};
@@ -9,8 +11,10 @@ use crate::frame::{SourceError, open};
 use crate::preprocess::Preprocessing;
 use crate::undefined::Undefined;
 
+pub mod store;
+
 /// A source seen through the encoder.
-#[derive(Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Survey {
     /// As typed.
     pub source: String,
@@ -23,7 +27,7 @@ pub struct Survey {
 }
 
 /// One frame of a survey.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct SurveyFrame {
     /// Energy maps of the blocks, each of its block's own size; empty when only means are kept.
     pub maps: Vec<EnergyMap>,

@@ -1,7 +1,9 @@
 //! Why something cannot be said. Undefined is a value: it is passed on, counted and reported, never a NaN.
 
+use serde::{Deserialize, Serialize};
+
 /// The reason why a frame, histogram or comparison has no value.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error, Serialize, Deserialize)]
 pub enum Undefined {
     /// The picture is too small to see a road in.
     #[error("picture of {width}x{height} pixels is too small to judge")]

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, anyhow};
 use gapwatch::alarm::{Alarm, Judgement, Reason};
 use gapwatch::attention::{EnergyMap, common_size, energy_from_features};
-use gapwatch::calibration::{Domain, Wanted, calibrate};
+use gapwatch::calibration::{Domain, LabelledMeans, Wanted, calibrate};
 use gapwatch::can::message::{GapHealth, GapStatus};
 use gapwatch::can::sender::StatusSender;
 use gapwatch::can::{CanFrame, CanSettings, SinkError, WarningSink};
@@ -167,7 +167,8 @@ fn made_for(model: &Model) -> anyhow::Result<Reference> {
         window_s: 1.0,
         false_alarms_per_hour: 1.0,
     };
-    let made = calibrate(&[domain], &[], &[], &model.spec.taps, wanted)?;
+    let no_labels: &[LabelledMeans] = &[];
+    let made = calibrate(&[domain], &[], no_labels, &model.spec.taps, wanted)?;
     Ok(Reference::new(
         model.fingerprint.clone(),
         wanted.metric,

@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 
 use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader};
 
+use super::names::name_order;
 use super::{
     FOLDER_FPS, Frame, FrameSource, PIXELS_MAX, Picture, PictureError, SourceError, time_of,
 };
@@ -51,7 +52,9 @@ impl ImageSource {
         if paths.is_empty() {
             return Err(SourceError::Empty(folder.to_owned()));
         }
-        paths.sort_by_cached_key(|path| name_order(path));
+        paths.sort_by_cached_key(|path| {
+            name_order(&path.file_name().unwrap_or_default().to_string_lossy())
+        });
         Ok(Self {
             paths,
             fps,
@@ -82,32 +85,6 @@ impl FrameSource for ImageSource {
     fn frame_count(&self) -> Option<u64> {
         Some(self.paths.len() as u64)
     }
-}
-
-/// A piece of a file name.
-#[derive(PartialEq, Eq, PartialOrd, Ord)]
-enum NamePart {
-    Number(u128, String),
-    Text(String),
-}
-
-/// Name order as people mean it: runs of digits count as numbers, so `frame_2` comes before `frame_10`.
-fn name_order(path: &Path) -> Vec<NamePart> {
-    let name: Vec<char> = path
-        .file_name()
-        .unwrap_or_default()
-        .to_string_lossy()
-        .chars()
-        .collect();
-    name.chunk_by(|a, b| a.is_ascii_digit() == b.is_ascii_digit())
-        .map(|part| {
-            let text: String = part.iter().collect();
-            text.parse().map_or_else(
-                |_| NamePart::Text(text.clone()),
-                |number| NamePart::Number(number, text.clone()),
-            )
-        })
-        .collect()
 }
 
 fn read(path: &Path) -> Result<Picture, String> {
@@ -169,7 +146,7 @@ mod tests {
             "b_0.png",
             "b.png",
         ];
-        names.sort_by_cached_key(|name| name_order(Path::new(name)));
+        names.sort_by_cached_key(|name| name_order(name));
         assert_eq!(
             names,
             [

@@ -6,7 +6,7 @@
 use nalgebra::{Cholesky, DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 
-use super::moments::{Moments, SPREAD_FLOOR, STEPS_PER_NAT};
+use super::moments::{Moments, SPREAD_FLOOR, STEPS_PER_NAT, energy_levels};
 use crate::undefined::Undefined;
 
 /// Deviations from nominal are cut off here, in spreads: far outside, further does not mean worse.
@@ -15,13 +15,91 @@ const DEVIATION_MAX: f64 = 30.0;
 /// under conditions that were not fitted moves by less than 0.01 (study on 16 rendered drives a condition).
 const RIDGE: f64 = 0.5;
 
-/// Energies of one block in a frame with lane labels, and what the lane model lost there.
-#[derive(Clone, Copy, Debug)]
-pub struct Labelled<'a> {
-    /// `[energies]`, levels of the log energies.
-    pub levels: &'a [u32],
-    /// 1 - IoU / IoU of the same frame in plain day, 0 to 1.
-    pub loss: f64,
+/// Fits a forecast to one frame with lane labels after the other: nominal frames have no loss and weigh as much together
+/// as the labelled ones.
+pub struct LaneRiskFit {
+    epsilon: f64,
+    mean: Vec<f64>,
+    spread: Vec<f64>,
+    /// Normal equations over the energies and a constant.
+    matrix: DMatrix<f64>,
+    target: DVector<f64>,
+    row: DVector<f64>,
+    levels: Vec<u32>,
+}
+
+impl LaneRiskFit {
+    /// With the nominal frames alone; as many `labelled` ones are to come.
+    ///
+    /// # Errors
+    /// `TooFewImages` without nominal or labelled frames.
+    #[allow(clippy::cast_precision_loss)]
+    pub fn new(epsilon: f64, nominal: &Moments, labelled: usize) -> Result<Self, Undefined> {
+        nominal.check_frames()?;
+        if labelled == 0 {
+            return Err(Undefined::TooFewImages {
+                found: 0,
+                wanted: 1,
+            });
+        }
+        let covariance = nominal.covariance();
+        let mean = nominal.mean();
+        let len = mean.len();
+        let spread: Vec<f64> = (0..len)
+            .map(|i| (covariance[(i, i)] + SPREAD_FLOOR * SPREAD_FLOOR).sqrt())
+            .collect();
+        let frames = labelled as f64;
+        // The nominal frames' deviations sum to nothing, so they fill the block of the energies alone.
+        let mut matrix = DMatrix::zeros(len + 1, len + 1);
+        for row in 0..len {
+            for column in 0..len {
+                matrix[(row, column)] =
+                    frames * covariance[(row, column)] / (spread[row] * spread[column]);
+            }
+            matrix[(row, row)] += RIDGE * frames;
+        }
+        matrix[(len, len)] = frames;
+        Ok(Self {
+            epsilon,
+            levels: vec![0; len],
+            mean,
+            spread,
+            matrix,
+            target: DVector::zeros(len + 1),
+            row: DVector::from_element(len + 1, 1.0),
+        })
+    }
+
+    /// Learns from a frame's energies, `[energies]`, and what the lane model lost there: 1 - IoU / IoU of the same frame in
+    /// plain day, 0 to 1.
+    pub fn add(&mut self, energies: &[f64], loss: f64) {
+        energy_levels(energies, self.epsilon, &mut self.levels);
+        for (index, &level) in self.levels.iter().enumerate() {
+            let nats = f64::from(level) / STEPS_PER_NAT;
+            self.row[index] = deviation(nats, self.mean[index], self.spread[index]);
+        }
+        self.matrix.ger(1.0, &self.row, &self.row, 1.0);
+        self.target.axpy(loss, &self.row, 1.0);
+    }
+
+    /// The forecast.
+    ///
+    /// # Errors
+    /// `NoScore` when the numbers admit none.
+    pub fn solve(self) -> Result<LaneRisk, Undefined> {
+        let len = self.mean.len();
+        // Positive definite: the penalty is above 0, and so is the constant's own entry.
+        let solved = Cholesky::new(self.matrix)
+            .ok_or(Undefined::NoScore)?
+            .solve(&self.target);
+        Ok(LaneRisk {
+            epsilon: self.epsilon,
+            mean: self.mean,
+            spread: self.spread,
+            weights: solved.as_slice()[..len].to_vec(),
+            bias: solved[len],
+        })
+    }
 }
 
 /// A linear forecast of the loss from one block.
@@ -41,64 +119,6 @@ pub struct LaneRisk {
 }
 
 impl LaneRisk {
-    /// Fits the forecast: nominal frames have no loss and weigh as much together as the labelled ones.
-    ///
-    /// # Errors
-    /// `TooFewImages` without nominal or labelled frames.
-    #[allow(clippy::cast_precision_loss)]
-    pub fn fit(
-        epsilon: f64,
-        nominal: &Moments,
-        labelled: &[Labelled<'_>],
-    ) -> Result<Self, Undefined> {
-        nominal.check_frames()?;
-        if labelled.is_empty() {
-            return Err(Undefined::TooFewImages {
-                found: 0,
-                wanted: 1,
-            });
-        }
-        let covariance = nominal.covariance();
-        let mean = nominal.mean();
-        let len = mean.len();
-        let spread: Vec<f64> = (0..len)
-            .map(|i| (covariance[(i, i)] + SPREAD_FLOOR * SPREAD_FLOOR).sqrt())
-            .collect();
-        let frames = labelled.len() as f64;
-        // Normal equations over the energies and a constant. The nominal frames' deviations sum to nothing, so they fill
-        // the block of the energies alone.
-        let mut matrix = DMatrix::zeros(len + 1, len + 1);
-        for row in 0..len {
-            for column in 0..len {
-                matrix[(row, column)] =
-                    frames * covariance[(row, column)] / (spread[row] * spread[column]);
-            }
-            matrix[(row, row)] += RIDGE * frames;
-        }
-        matrix[(len, len)] = frames;
-        let mut target = DVector::zeros(len + 1);
-        let mut row = DVector::from_element(len + 1, 1.0);
-        for frame in labelled {
-            for (index, &level) in frame.levels.iter().enumerate().take(len) {
-                let nats = f64::from(level) / STEPS_PER_NAT;
-                row[index] = deviation(nats, mean[index], spread[index]);
-            }
-            matrix.ger(1.0, &row, &row, 1.0);
-            target.axpy(frame.loss, &row, 1.0);
-        }
-        // Positive definite: the penalty is above 0, and so is the constant's own entry.
-        let solved = Cholesky::new(matrix)
-            .ok_or(Undefined::NoScore)?
-            .solve(&target);
-        Ok(Self {
-            epsilon,
-            mean,
-            spread,
-            weights: solved.as_slice()[..len].to_vec(),
-            bias: solved[len],
-        })
-    }
-
     /// Forecast of the loss in a window of `frames` frames, `sums` `[energies]` the sum of their levels. About 0 to 1; a
     /// little below 0 where the road is easier than the nominal one. Allocates nothing.
     #[allow(clippy::cast_precision_loss)]
@@ -141,11 +161,7 @@ fn deviation(nats: f64, mean: f64, spread: f64) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    #![allow(
-        clippy::unwrap_used,
-        clippy::cast_possible_truncation,
-        clippy::cast_sign_loss
-    )]
+    #![allow(clippy::unwrap_used)]
     use super::*;
 
     /// Nominal levels of two energies, 10 nats with a spread of 1.
@@ -157,24 +173,25 @@ mod tests {
         moments
     }
 
+    /// Fits frames of energies that lie so many nats up, with their losses.
+    fn fit(frames: &[([f64; 2], f64)]) -> LaneRisk {
+        let mut fit = LaneRiskFit::new(1.0, &nominal(), frames.len()).unwrap();
+        for (nats, loss) in frames {
+            fit.add(&nats.map(f64::exp_m1), *loss);
+        }
+        fit.solve().unwrap()
+    }
+
     #[test]
     fn a_loss_that_goes_with_one_energy_is_foretold() {
         // The first energy falls by 1 spread for each tenth of loss; the second says nothing.
-        let frames: Vec<([u32; 2], f64)> = (0..1_000_u32)
+        let frames: Vec<([f64; 2], f64)> = (0..1_000_u32)
             .map(|i| {
                 let tenths = f64::from(i % 11);
-                let first = 1024.0 * (10.0 - tenths);
-                ([first as u32, 1024 * (9 + i % 3)], 0.1 * tenths)
+                ([10.0 - tenths, f64::from(9 + i % 3)], 0.1 * tenths)
             })
             .collect();
-        let labelled: Vec<Labelled<'_>> = frames
-            .iter()
-            .map(|(levels, loss)| Labelled {
-                levels,
-                loss: *loss,
-            })
-            .collect();
-        let risk = LaneRisk::fit(1.0, &nominal(), &labelled).unwrap();
+        let risk = fit(&frames);
         assert_eq!(risk.fault(), None);
         for tenths in [0_u64, 4, 8] {
             let found = risk.loss(&[1024 * (10 - tenths), 10_240], 1);
@@ -187,21 +204,13 @@ mod tests {
 
     #[test]
     fn far_outside_is_not_without_end() {
-        let labelled = [Labelled {
-            levels: &[0, 0],
-            loss: 1.0,
-        }];
-        let risk = LaneRisk::fit(1.0, &nominal(), &labelled).unwrap();
+        let risk = fit(&[([0.0, 0.0], 1.0)]);
         assert!(risk.loss(&[u64::from(u32::MAX), 0], 1).abs() < 60.0);
     }
 
     #[test]
     fn nothing_to_learn_from_is_refused() {
-        assert!(LaneRisk::fit(1.0, &nominal(), &[]).is_err());
-        let one = [Labelled {
-            levels: &[0, 0],
-            loss: 1.0,
-        }];
-        assert!(LaneRisk::fit(1.0, &Moments::new(2), &one).is_err());
+        assert!(LaneRiskFit::new(1.0, &nominal(), 0).is_err());
+        assert!(LaneRiskFit::new(1.0, &Moments::new(2), 1).is_err());
     }
 }

@@ -88,8 +88,12 @@ impl Moments {
         }
     }
 
-    /// Adds the frames of another set.
+    /// Adds the frames of another set. What has no frames yet takes over the other's number of energies.
     pub fn merge(&mut self, other: &Self) {
+        if self.frames == 0 {
+            self.clone_from(other);
+            return;
+        }
         self.frames += other.frames;
         let add = |own: &mut Vec<u64>, others: &[u64]| {
             own.iter_mut().zip(others).for_each(|(a, b)| *a += b);
