@@ -10,6 +10,8 @@ use super::{SourceError, path_and_fps};
 
 /// Most drives that one name may stand for.
 const DRIVES_MAX: u64 = 10_000;
+/// The same, as a count.
+const RANGE_MAX: usize = 10_000;
 
 /// The drives that a name stands for: one, or for `scene:…seed=A..B…` one a seed, both ends included.
 ///
@@ -69,27 +71,27 @@ pub fn sort_drives(names: &mut [String]) {
 
 /// The fewest names that stand for sorted drives: seeds that follow each other become ranges.
 pub fn ranges(sorted: &[String]) -> Vec<String> {
-    let mut ranges: Vec<(String, Option<(u64, u64)>, String)> = Vec::new();
-    for name in sorted {
-        let (template, seed) = parts(name);
-        match (ranges.last_mut(), seed) {
-            (Some((last, Some((first, to)), _)), Some(seed))
-                if *last == template && seed == *to + 1 && seed - *first < DRIVES_MAX =>
-            {
-                *to = seed;
+    let follows = |before: &String, name: &String| {
+        let ((template, seed), (next_template, next)) = (parts(before), parts(name));
+        template == next_template
+            && seed
+                .zip(next)
+                .is_some_and(|(a, b)| a.checked_add(1) == Some(b))
+    };
+    // A range stands for no more drives than may be typed.
+    let runs = sorted
+        .chunk_by(follows)
+        .flat_map(|run| run.chunks(RANGE_MAX));
+    let named = runs.filter_map(|run| {
+        let (first, last) = (run.first()?, run.last()?);
+        match (seed_in(first), seed_in(last)) {
+            (Some((before, from, after)), Some((_, to, _))) if run.len() > 1 => {
+                Some(format!("{before}{from}..{to}{after}"))
             }
-            _ => ranges.push((template, seed.map(|seed| (seed, seed)), name.clone())),
+            _ => Some(first.clone()),
         }
-    }
-    let written = ranges
-        .into_iter()
-        .map(|(_, seeds, name)| match (seeds, seed_in(&name)) {
-            (Some((from, to)), Some((before, _, after))) if from < to => {
-                format!("{before}{from}..{to}{after}")
-            }
-            _ => name,
-        });
-    written.collect()
+    });
+    named.collect()
 }
 
 /// A piece of a name.

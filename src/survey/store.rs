@@ -366,3 +366,131 @@ fn means_fault(means: &[BlockMeans], model: &ModelFingerprint) -> Option<String>
 fn hex(bytes: &[u8]) -> String {
     bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use std::time::Duration;
+
+    use super::*;
+    use crate::attention::EnergyMap;
+    use crate::preprocess::{CROP_NOTHING, Preprocessing};
+    use crate::survey::SurveyFrame;
+    use crate::undefined::Undefined;
+
+    fn model(sha256: &str) -> ModelFingerprint {
+        ModelFingerprint {
+            name: "m".to_owned(),
+            sha256: sha256.to_owned(),
+            taps: vec!["e2".to_owned()],
+            preprocessing: Preprocessing {
+                width: 8,
+                height: 8,
+                mean: [0.0; 3],
+                std: [1.0; 3],
+                crop: CROP_NOTHING,
+            },
+            resize: "r".to_owned(),
+        }
+    }
+
+    fn survey() -> Survey {
+        let means = BlockMeans {
+            activation: vec![-0.1, f64::MIN_POSITIVE],
+            energy: vec![1.0 / 3.0; 18],
+        };
+        Survey {
+            source: "drive".to_owned(),
+            times: vec![Duration::ZERO, Duration::from_nanos(333_333_333)],
+            frames: vec![
+                Ok(SurveyFrame {
+                    maps: vec![EnergyMap {
+                        width: 1,
+                        height: 2,
+                        energy: vec![0.1, 1e300],
+                    }],
+                    peaks: vec![1e300],
+                    means: vec![means],
+                }),
+                Err(Undefined::Frozen(Duration::from_secs(1))),
+            ],
+            common_size: (2, 2),
+        }
+    }
+
+    fn find(store: &SurveyStore, name: &str) -> Result<Option<Stored<Survey>>, StoreError> {
+        store.find(name, Kept::Maps, Some("today"))
+    }
+
+    #[test]
+    fn a_survey_from_disk_is_the_fresh_one() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = SurveyStore::open(&folder.path().join("new"), &model("a")).unwrap();
+        assert!(find(&store, "drive").unwrap().is_none());
+        store.keep("drive", Kept::Maps, "today", &survey()).unwrap();
+        let stored = find(&store, "drive").unwrap().unwrap();
+        assert_eq!(Drive::frames(&stored), 2);
+        // Their texts have every digit that tells one float from another.
+        let read = format!("{:?}", stored.survey().unwrap());
+        assert_eq!(read, format!("{:?}", survey()));
+    }
+
+    #[test]
+    fn what_is_of_another_model_time_kind_or_drive_is_not_found() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = SurveyStore::open(folder.path(), &model("a")).unwrap();
+        store.keep("drive", Kept::Maps, "today", &survey()).unwrap();
+        assert!(find(&store, "other").unwrap().is_none());
+        let other = |stamp, kept| {
+            store
+                .find::<Survey>("drive", kept, stamp)
+                .unwrap()
+                .is_none()
+        };
+        assert!(other(Some("tomorrow"), Kept::Maps) && other(None, Kept::Means));
+        assert!(!other(None, Kept::Maps));
+        let of_b = SurveyStore::open(folder.path(), &model("b")).unwrap();
+        assert!(find(&of_b, "drive").unwrap().is_none());
+        let reading = SurveyStore::temporary(&model("a")).unwrap();
+        let reading = reading.reading([folder.path().to_owned()]);
+        assert!(find(&reading, "drive").unwrap().is_some());
+    }
+
+    #[test]
+    fn whatever_is_changed_in_a_file_is_noticed() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = SurveyStore::open(folder.path(), &model("a")).unwrap();
+        let stored = store.keep("drive", Kept::Maps, "today", &survey()).unwrap();
+        let whole = fs::read(&stored.path).unwrap();
+        for place in 0..whole.len() {
+            let mut changed = whole.clone();
+            changed[place] ^= 0x10;
+            fs::write(&stored.path, changed).unwrap();
+            let said = find(&store, "drive").unwrap_err().to_string();
+            assert!(
+                said.contains(".survey: ") && said.contains("drive"),
+                "{said}"
+            );
+            fs::write(&stored.path, &whole[..place]).unwrap();
+            assert!(find(&store, "drive").is_err(), "{place}");
+        }
+        // Whole, but not what it should be.
+        for wrong in [
+            Survey {
+                common_size: (9, 9),
+                ..survey()
+            },
+            Survey {
+                times: vec![],
+                ..survey()
+            },
+        ] {
+            store.keep("drive", Kept::Maps, "today", &wrong).unwrap();
+            assert!(find(&store, "drive").is_err());
+        }
+        let mut wrong = survey();
+        wrong.frames[0].as_mut().unwrap().maps[0].width = 3;
+        store.keep("drive", Kept::Maps, "today", &wrong).unwrap();
+        assert!(find(&store, "drive").is_err());
+    }
+}
