@@ -127,8 +127,8 @@ pub enum Speed {
 /// second one) and judge it (the others); without them the reference says that its rate is not demonstrated.
 ///
 /// Drives are taken in an order of their own, so that on the command line does not matter. With --surveys what the encoder
-/// sees of each drive stays on disk: a run that was killed goes on where it was, another metric or rate costs no second
-/// look (but maps, which histograms need, are kept beside means), and gapwatch merge makes one reference of several.
+/// sees of each drive stays on disk: a run that was killed goes on where it was, another rate or metric costs no second look
+/// (but histograms need maps, which are kept only for them), and gapwatch merge makes one reference of several.
 #[derive(Debug, Args)]
 #[command(after_help = format!("{SOURCES}\n\nExample:\n  gapwatch calibrate --sim town01 town02 --model lane.onnx --taps e2,e3,e4 \
     --size 800x288 --mean 0.36,0.37,0.37 --std 0.26,0.27,0.28 --out town.json"))]
@@ -177,8 +177,9 @@ pub struct CalibrateArgs {
 /// --surveys; a drive without one is looked at again.
 #[derive(Debug, Args)]
 #[command(
-    after_help = "Example, on three machines:\n  gapwatch calibrate --sim 'scene:sim?seed=1..200' --surveys a.surveys --shard --out a.json\n  \
-    gapwatch calibrate --sim 'scene:sim?seed=201..400' --surveys b.surveys --shard --out b.json\n  gapwatch merge a.json b.json --out sim.json"
+    after_help = "Example:\n  gapwatch calibrate --sim 'scene:sim?seed=1..200' --surveys a.surveys --shard --out a.json\n  \
+    gapwatch calibrate --sim 'scene:sim?seed=201..400' --surveys b.surveys --shard --out b.json\n  \
+    gapwatch merge a.json b.json --out sim.json"
 )]
 pub struct MergeArgs {
     /// References or shards of the same model, metric, window and wanted rate; no drive may be in two of them

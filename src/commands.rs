@@ -47,8 +47,8 @@ pub fn run(command: Command, out: &mut dyn Write) -> anyhow::Result<u8> {
     }
 }
 
-/// Most frames that are looked at in one go: their energy maps stay in memory, about 20 KB a frame of the built-in model,
-/// or 3 KB of channel means.
+/// Most frames that are held in memory at once, of all sources that are compared or of one drive that is calibrated: about
+/// 25 KB a frame of the built-in model with its energy maps, or 4 KB of means alone.
 const fn frames_max(keep: Keep) -> u64 {
     match keep {
         Keep::Maps => 100_000,

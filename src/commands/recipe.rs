@@ -125,18 +125,19 @@ impl Recipe {
         }
     }
 
-    /// What a store has of the drives. With a `lane` output, or `unchanged`, only what is as it would be if looked at now.
-    pub fn find(
-        &self,
-        store: &SurveyStore,
-        unchanged: Option<&ModelSpec>,
-    ) -> anyhow::Result<Found> {
+    /// What a store has of the drives; with the model in use, only what would be the same if it were looked at now.
+    pub fn find(&self, store: &SurveyStore, now: Option<&ModelSpec>) -> anyhow::Result<Found> {
         let nominal = self.nominal();
         let drives = nominal.par_iter().map(|name| {
-            let stamp = unchanged.map(|_| stamp(name)).transpose()?;
-            Ok(found(store, name, self.keep().into(), stamp.as_deref())?)
+            let stamp = now.map(|_| stamp(name)).transpose()?;
+            let find = |kept| found(store, name, kept, stamp.as_deref());
+            match (find(self.keep().into())?, self.keep()) {
+                // Beside maps there are means too.
+                (None, Keep::Means) => Ok(find(Kept::Maps)?),
+                (there, _) => Ok(there),
+            }
         });
-        let lane = unchanged.map(lane_stamp);
+        let lane = now.map(lane_stamp);
         let labelled = self
             .labelled
             .par_iter()
