@@ -303,9 +303,9 @@ pub struct EvaluateArgs {
     /// File that gets the result as JSON too; of a file that is there, only what is evaluated is replaced
     #[arg(long, value_name = "FILE")]
     pub out: Option<PathBuf>,
-    /// Show the results in this file instead of evaluating
-    #[arg(long, value_name = "FILE", conflicts_with_all = ["model", "quick", "reference", "drives", "hours", "scenes", "field", "out"])]
-    pub from: Option<PathBuf>,
+    /// Show the results in these files instead of evaluating
+    #[arg(long, value_name = "FILE", num_args = 1.., conflicts_with_all = ["model", "quick", "reference", "drives", "hours", "scenes", "field", "out"])]
+    pub from: Vec<PathBuf>,
 }
 
 /// How results are written.

@@ -15,6 +15,7 @@ mod sheet;
 mod watched;
 
 use std::io::Write;
+use std::path::PathBuf;
 
 use anyhow::bail;
 use clap::ValueEnum;
@@ -32,14 +33,26 @@ pub fn run(args: &EvaluateArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
     if args.format == ResultsFormat::Csv && args.only != Some(EvaluateKey::LaneIou) {
         bail!("--format csv is for --only lane_iou; wanted table, json or markdown");
     }
-    if let Some(path) = &args.from {
-        let all = Results::read(path)?;
-        match args.only {
-            Some(key) if !all.has(key) => {
-                bail!("{}: no key {}", path.display(), key.name())
+    if !args.from.is_empty() {
+        let pages = matches!(args.format, ResultsFormat::Table | ResultsFormat::Markdown);
+        if args.from.len() > 1 && !pages {
+            bail!("several files are shown as table or markdown only; wanted one --from");
+        }
+        if args.format == ResultsFormat::Markdown {
+            made_from(&args.from, out)?;
+        }
+        for (index, path) in args.from.iter().enumerate() {
+            let all = Results::read(path)?;
+            if index > 0 && args.format == ResultsFormat::Markdown {
+                writeln!(out, "# Results of `{}`\n", command::portable(path))?;
             }
-            Some(key) => show(&all.only(key), args, out)?,
-            None => show(&all, args, out)?,
+            match args.only {
+                Some(key) if !all.has(key) => {
+                    bail!("{}: no key {}", path.display(), key.name())
+                }
+                Some(key) => show(&all.only(key), args, out)?,
+                None => show(&all, args, out)?,
+            }
         }
         return Ok(0);
     }
@@ -174,20 +187,22 @@ fn show(results: &Results, args: &EvaluateArgs, out: &mut dyn Write) -> anyhow::
                 }
             }
         }
-        ResultsFormat::Markdown => markdown(results, args, out)?,
+        ResultsFormat::Markdown => markdown(results, out)?,
     }
     Ok(())
 }
 
-fn markdown(results: &Results, args: &EvaluateArgs, out: &mut dyn Write) -> anyhow::Result<()> {
-    writeln!(out, "# Results\n")?;
-    if let Some(path) = &args.from {
-        let path = command::portable(path);
-        writeln!(
-            out,
-            "Made from `{path}` by `gapwatch evaluate --from {path} --format markdown`. Do not edit.\n"
-        )?;
-    }
+fn made_from(paths: &[PathBuf], out: &mut dyn Write) -> anyhow::Result<()> {
+    let names: Vec<String> = paths.iter().map(|path| command::portable(path)).collect();
+    writeln!(
+        out,
+        "# Results\n\nMade by `gapwatch evaluate --from {} --format markdown`. Do not edit.\n",
+        names.join(" ")
+    )?;
+    Ok(())
+}
+
+fn markdown(results: &Results, out: &mut dyn Write) -> anyhow::Result<()> {
     for &key in EvaluateKey::value_variants() {
         let Some(page) = page(results, key)? else {
             continue;
