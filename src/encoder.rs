@@ -467,29 +467,31 @@ fn feature_map(output: &Tensor) -> Result<FeatureMap<'_>, String> {
 
 /// Our own plan for a model, if it knows all of the model's operators.
 fn own_plan(model: &TypedModel, name: &str) -> Option<Plan> {
-    let kernel = Kernel::available()[0];
-    let plan = lowering::lower(model).and_then(|graph| Plan::new(&graph.fused(), kernel));
-    plan.inspect_err(|why| log::info!("{name} runs in tract: {why}"))
+    let planned = contained(|| {
+        let kernel = Kernel::available()[0];
+        lowering::lower(model).and_then(|graph| Plan::new(&graph.fused(), kernel))
+    });
+    planned
+        .flatten()
+        .inspect_err(|why| log::info!("{name} runs in tract: {why}"))
         .ok()
 }
 
 /// Whether our plan answers a picture of noise as tract does.
 fn agrees(plan: &Plan, tract: &Arc<TypedRunnableModel>, shape: &[usize; 4], name: &str) -> bool {
-    let picture = noise(shape.iter().product());
-    let mut buffers = Buffers::new(plan);
-    buffers.run(plan, &picture);
-    let theirs = tract
-        .spawn()
-        .map_err(|e| root(&e))
-        .and_then(|mut state| run_in_tract(&mut state, shape, &picture));
-    let difference = theirs.and_then(|theirs| {
-        let pairs = buffers.outputs().iter().zip(&theirs);
-        pairs
-            .map(|(ours, theirs)| Ok(difference(ours, feature_map(theirs)?.activations)))
-            .try_fold(0.0_f32, |largest, one: Result<f32, String>| {
-                Ok(largest.max(one?))
-            })
-    });
+    let compare = || {
+        let picture = noise(shape.iter().product());
+        let mut buffers = Buffers::new(plan);
+        buffers.run(plan, &picture);
+        let mut state = tract.spawn().map_err(|e| root(&e))?;
+        let theirs = run_in_tract(&mut state, shape, &picture)?;
+        let mut largest = 0.0_f32;
+        for (ours, theirs) in buffers.outputs().iter().zip(&theirs) {
+            largest = largest.max(difference(ours, feature_map(theirs)?.activations));
+        }
+        Ok(largest)
+    };
+    let difference = contained(compare).flatten();
     match difference {
         Ok(difference) if difference <= DIFFERENCE_MAX => true,
         Ok(difference) => {
@@ -576,12 +578,13 @@ thread_local! {
     static IN_TRACT: Cell<bool> = const { Cell::new(false) };
 }
 
-/// Whether this thread is inside tract, where a panic is caught and becomes an error: a panic hook may stay silent.
+/// Whether this thread is loading a model or inside tract, where a panic is caught and becomes an error: a panic hook may
+/// stay silent.
 pub fn in_tract() -> bool {
     IN_TRACT.get()
 }
 
-/// Runs tract's code, which panics on some malformed models, and turns a panic into an error.
+/// Runs tract's code, which panics on some malformed models, or plans and tries our own, and turns a panic into an error.
 fn contained<T>(work: impl FnOnce() -> T) -> Result<T, String> {
     let before = IN_TRACT.replace(true);
     let outcome = catch_unwind(AssertUnwindSafe(work));
