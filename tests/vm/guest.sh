@@ -1,0 +1,146 @@
+# What happens inside the virtual machine. Clips of raw frames are played into the output node of vivid, come out of its
+# capture node, and the monitor says on vcan0 what it makes of them. vcan1 carries the marks: what is done to camera and
+# bus, and when. What is to be judged goes to /share.
+ip=/usr/bin/ip
+tc=/usr/bin/tc
+capture="v4l2-ctl -d /dev/video0"
+output="v4l2-ctl -d /dev/video1"
+# 1280x720 at 30 frames a second; frames of another size are scaled on their way in and back on their way out.
+timings=index=5
+
+gapwatch() { lib/ld-linux-x86-64.so.2 --library-path lib ./gapwatch "$@"; }
+
+# mark WORD: at most 8 characters, in a frame of their own.
+mark() { cansend vcan1 7F0#"$(printf %s "$1" | od -An -tx1 | tr -d ' \n')"; }
+
+bus_up() {
+  $ip link add "$1" type vcan
+  $ip link set "$1" up
+}
+
+camera_on() {
+  $capture --set-dv-bt-timings $timings >/dev/null
+  $output --set-dv-bt-timings $timings >/dev/null
+  $capture -c osd_text_mode=2 -c loop_video=1
+  $output --set-fmt-video-out=width=320,height=160,pixelformat=YUYV
+}
+
+play() { $output --stream-out-mmap=4 --stream-from=- >/dev/null 2>&1; }
+
+# Plays the clip that `show` names, again and again, and marks every change.
+player() {
+  shown=
+  while [ ! -e quiet ]; do
+    clip=$(cat showing)
+    [ "$clip" = "$shown" ] || mark "$clip"
+    shown=$clip
+    cat clips/"$clip" || break
+  done 2>/dev/null | play
+}
+
+show() { echo "$1" >showing; }
+
+# picture CLIP: shows it for a while.
+picture() {
+  show "$1"
+  sleep 1.8
+  show nominal
+  sleep 1.5
+}
+
+# during NAME COMMAND: runs a command that makes a fault; `over COMMAND` ends it.
+during() {
+  mark "$1"
+  shift
+  "$@"
+  sleep 1.5
+}
+over() {
+  "$@"
+  mark nominal
+  sleep 1.5
+}
+
+control() { $capture -c "$1"; }
+
+unplug() { echo vivid.0 >/sys/bus/platform/drivers/vivid/unbind; }
+plug_in() {
+  echo vivid.0 >/sys/bus/platform/drivers/vivid/bind
+  camera_on
+  player &
+}
+
+cp -r /share/* .
+echo nominal >showing
+modprobe vcan echo=1
+modprobe can-raw
+modprobe vivid n_devs=1 node_types=0x101 num_inputs=1 input_types=0x3 num_outputs=1 output_types=0x1
+bus_up vcan0
+bus_up vcan1
+camera_on
+candump -L any >bus.log 2>/dev/null &
+
+# A drive.
+cat clips/drive | play &
+playing=$!
+mark drive
+gapwatch monitor --board car.toml --seconds 12 --journal drive.jsonl >drive.out 2>drive.err
+echo $? >drive.code
+mark after
+wait $playing
+
+# Faults of the picture, the camera and the bus, one after the other, each with a nominal road before and behind it. The
+# driver's frame numbers wrap 4.3 s after the start.
+control wrap_sequence_number=1
+player &
+RUST_LOG=info gapwatch monitor --board car.toml --journal faults.jsonl >faults.out 2>faults.err &
+monitor=$!
+sleep 4
+mark wrap
+sleep 2
+for clip in black grey frozen covered; do picture $clip; done
+during damaged control inject_v4l2_buf_flag_error=1
+over true
+during refused control inject_vidioc_qbuf_error=1
+over true
+during fatal control inject_fatal_streaming_error=1
+over true
+during lost control percentage_of_dropped_buffers=30
+over control percentage_of_dropped_buffers=0
+during stall control percentage_of_dropped_buffers=100
+over control percentage_of_dropped_buffers=0
+during offline control disconnect=1
+over true
+during unplug unplug
+over plug_in
+during busdown $ip link set vcan0 down
+over $ip link set vcan0 up
+during busfull $tc qdisc add dev vcan0 root tbf rate 1kbit burst 32 limit 64
+over $tc qdisc del dev vcan0 root
+during busgone $ip link del vcan0
+over bus_up vcan0
+during foreign cansend vcan0 5D1#0000000000000000
+over true
+show night
+sleep 3
+show nominal
+sleep 4
+mark clear
+for frame in $(cat clear); do
+  cansend vcan0 5D8#$frame
+  sleep .3
+done
+mark killed
+kill -KILL $monitor
+sleep 1
+mark again
+gapwatch monitor --board car.toml --seconds 2 >again.out 2>again.err
+mark other
+(while sleep .1; do cansend vcan0 5D0#0000000000000000; done) &
+other=$!
+gapwatch monitor --board car.toml --seconds 2 >other.out 2>other.err
+echo $? >other.code
+kill $other
+mark end
+touch quiet
+cp ./*.log ./*.jsonl ./*.out ./*.err ./*.code /share/
