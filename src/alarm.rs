@@ -82,7 +82,7 @@ pub enum Reason {
     Uniform,
     /// The picture is too small to judge.
     TooSmall,
-    /// The picture cannot be read.
+    /// The picture cannot be read, or frames do not come in order.
     Corrupt,
     /// No frame came for too long.
     Stale,
@@ -90,8 +90,10 @@ pub enum Reason {
     Undefined,
     /// The picture has not changed by a single bit for too long.
     Frozen,
-    /// More than half of the lens is covered.
+    /// Most of the lens is covered.
     Covered,
+    /// The computer does not keep up: verdicts come too late.
+    Lagging,
     /// The monitor ends.
     Stopped,
 }
@@ -112,6 +114,7 @@ impl Reason {
             Self::Undefined => "undefined",
             Self::Frozen => "frozen",
             Self::Covered => "covered",
+            Self::Lagging => "lagging",
             Self::Stopped => "stopped",
         }
     }
@@ -131,9 +134,10 @@ impl From<&Undefined> for Reason {
             Undefined::Black => Self::Black,
             Undefined::Uniform => Self::Uniform,
             Undefined::TooSmall { .. } => Self::TooSmall,
-            Undefined::Corrupt(_) => Self::Corrupt,
+            Undefined::Corrupt(_) | Undefined::OutOfOrder { .. } => Self::Corrupt,
             Undefined::Frozen(_) => Self::Frozen,
             Undefined::Covered { .. } => Self::Covered,
+            Undefined::Late(_) => Self::Lagging,
             _ => Self::Undefined,
         }
     }

@@ -1,8 +1,9 @@
 //! Frames over time → whether the camera is to be believed, before anything is judged by them.
 //!
-//! Owns what no road makes: a picture that does not change by a single bit, and a lens that is black over more than half of
-//! its area. Refuses to judge light and weather: night, fog, rain, glare, blur and dirt are gaps, and a fault would hide
-//! them; a test holds it to that on rendered drives.
+//! Owns what no road makes: a picture that does not change by a single bit, a lens that is black over more than half of its
+//! area or without any structure and motion over more than 60 % of it, and frames whose numbers or times do not go on.
+//! Refuses to judge light and weather: night, fog, rain, glare, blur and dirt are gaps, and a fault would hide them; a test
+//! holds it to that on rendered drives.
 
 use std::time::Duration;
 
@@ -14,69 +15,155 @@ use crate::undefined::Undefined;
 const FROZEN: Duration = Duration::from_millis(500);
 /// Blocks across and down, for the share of the lens that is covered.
 const BLOCKS: (usize, usize) = (16, 8);
+/// Cells across and down in a block: their means tell structure from a sensor's noise.
+const CELLS: usize = 4;
 /// A block whose brightest value is at most this is covered, as a whole picture is black.
 const BLACK_MAX: u8 = 8;
-/// More of the blocks than this share, and the lens is covered.
-const COVERED_PERCENT: u8 = 50;
+/// More of the blocks than this share are black, and the lens is covered.
+const COVERED_PERCENT: usize = 50;
+/// Cells of a covered block differ by at most this, among each other and from what they were when it began.
+const FLAT_MAX: u8 = 4;
+/// A block without structure and motion for this long is covered.
+const STILL: Duration = Duration::from_secs(1);
+/// More of the blocks than this share are so, and the lens is covered. Fog and tunnels make half of a picture so, all that
+/// is above the road, at severity 5 too.
+const STILL_PERCENT: usize = 60;
 
-/// Remembers the last picture.
+/// Remembers the last picture, and since when which block has looked the same.
 #[derive(Debug, Default)]
 pub struct CameraHealth {
     last: Vec<u8>,
     /// When the last picture was first seen.
     since: Duration,
+    blocks: Vec<Block>,
+    /// Number and time of the last frame.
+    before: Option<(u64, Duration)>,
+}
+
+/// A part of the picture.
+#[derive(Clone, Copy, Debug, Default)]
+struct Block {
+    black: bool,
+    cells: [u8; CELLS * CELLS],
+    /// What the cells were when the block began to be without structure and motion, and when that was.
+    began: Option<([u8; CELLS * CELLS], Duration)>,
 }
 
 impl CameraHealth {
     /// Whether a frame may be judged. A frame without picture is not looked at.
     ///
     /// # Errors
-    /// `Frozen` or `Covered`.
+    /// `OutOfOrder`, `Frozen` or `Covered`.
     pub fn check(&mut self, frame: &Frame) -> Result<(), Undefined> {
+        let silence = self.check_order(frame)?;
         let Ok(picture) = &frame.picture else {
             return Ok(());
         };
-        if picture.rgb == self.last {
+        // A camera that gave nothing may begin again with what it showed last.
+        if picture.rgb == self.last && silence < FROZEN {
             let still = frame.captured_at.saturating_sub(self.since);
-            // A picture of one colour has its own name.
-            let uniform = || {
-                let mut pixels = picture.rgb.chunks_exact(3);
-                pixels.all(|pixel| pixel == &picture.rgb[..3])
-            };
-            if still >= FROZEN && !uniform() {
+            if still >= FROZEN && !is_uniform(picture) {
                 return Err(Undefined::Frozen(still));
             }
         } else {
             self.last.clone_from(&picture.rgb);
             self.since = frame.captured_at;
         }
-        let percent = covered_percent(picture);
-        // All of it is black, which is said by its own name.
-        if percent > COVERED_PERCENT && percent < 100 {
+        self.look_at_blocks(frame.captured_at, picture);
+        let share = |is: &dyn Fn(&Block) -> bool| {
+            let count = self.blocks.iter().filter(|block| is(block)).count();
+            (100 * count).div_ceil(self.blocks.len().max(1))
+        };
+        let black = share(&|block| block.black);
+        let still = share(&|block| {
+            let since =
+                |began: ([u8; CELLS * CELLS], Duration)| frame.captured_at.saturating_sub(began.1);
+            block.black || block.began.is_some_and(|began| since(began) >= STILL)
+        });
+        let covered = black > COVERED_PERCENT || still > STILL_PERCENT;
+        // What is all black has its own name too.
+        if covered && black < 100 && !is_uniform(picture) {
+            let percent = u8::try_from(black.max(still)).unwrap_or(100);
             return Err(Undefined::Covered { percent });
         }
         Ok(())
     }
-}
 
-/// Share of the blocks that are black, rounded up.
-fn covered_percent(picture: &Picture) -> u8 {
-    let (across, down) = BLOCKS;
-    let (width, height) = (picture.width as usize, picture.height as usize);
-    if width < across || height < down || picture.rgb.len() != 3 * width * height {
-        return 0;
-    }
-    let mut brightest = vec![0_u8; across * down];
-    for (y, row) in picture.rgb.chunks_exact(3 * width).enumerate() {
-        let blocks = &mut brightest[y * down / height * across..][..across];
-        for (column, block) in blocks.iter_mut().enumerate() {
-            let (from, to) = (column * width / across, (column + 1) * width / across);
-            let highest = row[3 * from..3 * to].iter().max();
-            *block = (*block).max(highest.copied().unwrap_or(0));
+    /// Numbers and times of frames only grow; gives the time since the frame before.
+    fn check_order(&mut self, frame: &Frame) -> Result<Duration, Undefined> {
+        let (number, at) = (frame.sequence, frame.captured_at);
+        match self.before.replace((number, at)) {
+            Some((before, then)) if number <= before || at < then => {
+                Err(Undefined::OutOfOrder { number, before })
+            }
+            Some((_, then)) => Ok(at - then),
+            None => Ok(Duration::ZERO),
         }
     }
-    let black = brightest.iter().filter(|&&value| value <= BLACK_MAX);
-    u8::try_from((100 * black.count()).div_ceil(brightest.len())).unwrap_or(100)
+
+    fn look_at_blocks(&mut self, now: Duration, picture: &Picture) {
+        let (across, down) = (BLOCKS.0 * CELLS, BLOCKS.1 * CELLS);
+        let (width, height) = (picture.width as usize, picture.height as usize);
+        if width < across || height < down || picture.rgb.len() != 3 * width * height {
+            self.blocks.clear();
+            return;
+        }
+        self.blocks.resize(BLOCKS.0 * BLOCKS.1, Block::default());
+        let mut cells = vec![Cell::default(); across * down];
+        for (y, row) in picture.rgb.chunks_exact(3 * width).enumerate() {
+            let cells = &mut cells[y * down / height * across..][..across];
+            for (column, cell) in cells.iter_mut().enumerate() {
+                let (from, to) = (column * width / across, (column + 1) * width / across);
+                for &value in &row[3 * from..3 * to] {
+                    cell.sum += u64::from(value);
+                    cell.brightest = cell.brightest.max(value);
+                }
+                cell.values += 3 * (to - from) as u64;
+            }
+        }
+        for (n, block) in self.blocks.iter_mut().enumerate() {
+            let (left, top) = (n % BLOCKS.0 * CELLS, n / BLOCKS.0 * CELLS);
+            let mut brightest = 0;
+            for (at, mean) in block.cells.iter_mut().enumerate() {
+                let cell = &cells[(top + at / CELLS) * across + left + at % CELLS];
+                *mean = u8::try_from(cell.sum / cell.values.max(1)).unwrap_or(u8::MAX);
+                brightest = brightest.max(cell.brightest);
+            }
+            block.black = brightest <= BLACK_MAX;
+            block.keep_or_begin(now);
+        }
+    }
+}
+
+/// A picture of one colour has its own name.
+fn is_uniform(picture: &Picture) -> bool {
+    let mut pixels = picture.rgb.chunks_exact(3);
+    pixels.all(|pixel| pixel == &picture.rgb[..3])
+}
+
+/// What is added up over a part of a block.
+#[derive(Clone, Copy, Default)]
+struct Cell {
+    sum: u64,
+    values: u64,
+    brightest: u8,
+}
+
+impl Block {
+    fn keep_or_begin(&mut self, now: Duration) {
+        let darkest = self.cells.iter().min().copied().unwrap_or(0);
+        let brightest = self.cells.iter().max().copied().unwrap_or(0);
+        let flat = brightest - darkest <= FLAT_MAX;
+        let unmoved = |(cells, _): &([u8; CELLS * CELLS], Duration)| {
+            let mut pairs = cells.iter().zip(&self.cells);
+            pairs.all(|(then, now)| then.abs_diff(*now) <= FLAT_MAX)
+        };
+        if !flat {
+            self.began = None;
+        } else if !self.began.as_ref().is_some_and(unmoved) {
+            self.began = Some((self.cells, now));
+        }
+    }
 }
 
 #[cfg(test)]
@@ -105,13 +192,20 @@ mod tests {
         for millis in (0..500).step_by(100) {
             assert_eq!(health.check(&still(millis)), Ok(()), "{millis} ms");
         }
-        for millis in [500, 600, 5_000] {
+        for millis in (500..5_000).step_by(100) {
             let frozen = Undefined::Frozen(Duration::from_millis(millis));
             assert_eq!(health.check(&still(millis)), Err(frozen));
         }
         let moved = frame(5_100, |x, y| u8::from(x + y == 3) + 100);
         assert_eq!(health.check(&moved), Ok(()));
         assert_eq!(health.check(&still(5_200)), Ok(()));
+        // Nothing came for 2 s, and then the same picture.
+        assert_eq!(health.check(&still(7_200)), Ok(()));
+        assert!(health.check(&still(7_700)).is_ok() && health.check(&still(7_800)).is_ok());
+        assert_eq!(
+            health.check(&still(8_200)),
+            Err(Undefined::Frozen(Duration::from_millis(500)))
+        );
     }
 
     #[test]
@@ -135,18 +229,65 @@ mod tests {
     }
 
     #[test]
+    fn a_lens_covered_by_something_bright_is_told_after_a_second_without_motion() {
+        // A little noise over what covers it, a road in motion beside it.
+        let noise = |millis: u64, x: u32, y: u32| {
+            let mixed = (millis / 100) as u32 * 7_919 + x * 104_729 + y * 1_299_709;
+            u8::try_from(mixed / 13 % 4).unwrap()
+        };
+        let covered_to = |millis: u64, edge: u32| {
+            frame(millis, move |x, y| {
+                if x < edge {
+                    180 + noise(millis, x, y)
+                } else {
+                    u8::try_from((x * 5 + y * 3 + millis as u32 / 10) % 200).unwrap()
+                }
+            })
+        };
+        let told = |edge| {
+            let mut health = CameraHealth::default();
+            let mut found = (0..30).map(|n| (100 * n, health.check(&covered_to(100 * n, edge))));
+            found.find_map(|(at, found)| Some((at, found.err()?)))
+        };
+        assert_eq!(told(36), None);
+        let covered = Undefined::Covered { percent: 63 };
+        assert_eq!(told(40), Some((1_000, covered)));
+    }
+
+    #[test]
+    fn numbers_and_times_that_do_not_go_on_are_refused_and_gaps_are_not() {
+        let mut health = CameraHealth::default();
+        let mut check = |sequence, millis| {
+            let frame = Frame {
+                sequence,
+                ..frame(millis, |x, _| u8::try_from(x).unwrap() + millis as u8)
+            };
+            health.check(&frame).is_ok()
+        };
+        assert!(check(3, 100) && check(4, 200) && check(90, 300));
+        assert!(!check(90, 400));
+        assert!(check(91, 500));
+        assert!(!check(60, 600));
+        assert!(check(61, 700));
+        assert!(!check(62, 650));
+    }
+
+    #[test]
     fn weather_light_and_dirt_up_to_severity_4_are_no_fault() {
         for kind in [
-            "night", "fog", "rain", "glare", "blur", "dirt", "snow", "tunnel",
+            "night", "fog", "rain", "glare", "blur", "dirt", "snow", "tunnel", "noise",
         ] {
             for look in ["sim", "sim-realistic", "game"] {
-                let name = format!("scene:{look}?seed=5&seconds=1&fps=10&condition={kind}:4");
-                let mut source = open(&name).unwrap();
-                let mut health = CameraHealth::default();
-                while let Some(frame) = source.next_frame().unwrap() {
-                    assert_eq!(health.check(&frame), Ok(()), "{name}");
-                    let percent = covered_percent(frame.picture.as_ref().unwrap());
-                    assert!(percent < 25, "{name}: {percent} % of the blocks are black");
+                for seed in [5, 6] {
+                    let drive = format!("seed={seed}&seconds=2&fps=10&condition={kind}:4");
+                    let name = format!("scene:{look}?{drive}");
+                    let mut source = open(&name).unwrap();
+                    let mut health = CameraHealth::default();
+                    while let Some(frame) = source.next_frame().unwrap() {
+                        assert_eq!(health.check(&frame), Ok(()), "{name}");
+                        let black = health.blocks.iter().filter(|block| block.black).count();
+                        assert!(4 * black < health.blocks.len(), "{name}: {black} blocks");
+                    }
                 }
             }
         }

@@ -159,6 +159,22 @@ impl CanSettings {
     }
 }
 
+/// How the controller stands on its bus, after ISO 11898-1.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum BusState {
+    /// It has not said.
+    #[default]
+    Unknown,
+    /// It takes part.
+    Active,
+    /// It takes part, and has counted many errors.
+    Warning,
+    /// It may no longer report errors: nobody acknowledges, or the bus is disturbed.
+    Passive,
+    /// It is off the bus, and what is written is lost.
+    Off,
+}
+
 /// Takes frames: a bus, a log or nothing at all.
 pub trait WarningSink {
     /// Takes one frame, due at `at` since the start of the drive.
@@ -170,6 +186,11 @@ pub trait WarningSink {
     /// A frame that came over the bus and waits, if there is one. Never blocks.
     fn receive(&mut self) -> Option<CanFrame> {
         None
+    }
+
+    /// How the controller stands, as far as it was heard by [`receive`](Self::receive).
+    fn bus_state(&self) -> BusState {
+        BusState::Unknown
     }
 
     /// Ends the output, after the last frame; without it a log file is not put in place.

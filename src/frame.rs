@@ -122,6 +122,11 @@ pub trait FrameSource: Send {
     fn is_live(&self) -> bool {
         false
     }
+
+    /// How long the last frame of a live source had waited before it was given, as far as that is known.
+    fn waited(&self) -> Duration {
+        Duration::ZERO
+    }
 }
 
 /// Opens what a board names as its camera: `v4l2:/dev/videoN`, asked for what is wished, or any other source.

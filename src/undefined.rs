@@ -22,7 +22,15 @@ pub enum Undefined {
     /// The same picture, bit by bit, for longer than a camera's noise allows.
     #[error("picture has not changed for {} ms", .0.as_millis())]
     Frozen(std::time::Duration),
-    /// More than half of the picture is black, but not all of it.
+    /// A frame whose number or time is not behind that of the frame before it.
+    #[error("frame {number} came after frame {before}, or its time did not go on")]
+    OutOfOrder {
+        /// Number of the frame.
+        number: u64,
+        /// Number of the one before.
+        before: u64,
+    },
+    /// More than half of the picture is black, but not all of it, or most of it shows neither structure nor motion.
     #[error("{percent} % of the lens is covered")]
     Covered {
         /// Share of the picture.
@@ -76,6 +84,9 @@ pub enum Undefined {
     /// No frame came.
     #[error("no frame for 500 ms")]
     Silence,
+    /// The verdict on the frame came too late.
+    #[error("verdict after {} ms", .0.as_millis())]
+    Late(std::time::Duration),
     /// The encoder failed on this frame.
     #[error("encoder failed: {0}")]
     Encoder(String),

@@ -1,7 +1,8 @@
 //! `gapwatch monitor` in a virtual machine: Debian's kernel with its test drivers for cameras (vivid) and buses (vcan).
 //!
 //! The machine is booted once for all tests, by whichever comes first; `tests/vm/guest.sh` is what happens inside. Its
-//! clock counts instructions, so what is late there is late on any computer.
+//! clock counts instructions, so what is late there is late on any computer. `tests/vm/run` runs these tests alone and
+//! shows what they measured.
 #![cfg(all(feature = "camera", feature = "can"))]
 #![allow(
     clippy::unwrap_used,
@@ -18,10 +19,11 @@ use std::process::{Command, Stdio};
 use std::time::Duration;
 
 use gapwatch::alarm::{AlarmState, Reason};
+use gapwatch::can::BusState;
 use gapwatch::can::e2e::{E2eReceiver, E2eSender, Sequence};
-use gapwatch::can::message::{ClearRequest, GapStatus};
-use gapwatch::frame::pixels::{Layout, PixelFormat};
+use gapwatch::can::message::{ClearRequest, GapHealth, GapStatus};
 use gapwatch::encoder::Encoder;
+use gapwatch::frame::pixels::{Layout, PixelFormat};
 use gapwatch::frame::{Frame, Picture, open};
 use gapwatch::journal::{self, Entry};
 use gapwatch::model::{ModelOptions, ModelSpec};
@@ -87,7 +89,11 @@ fn stage(share: &Path) {
     }
     let drives = "scene:sim?seed=1001..1040&seconds=3";
     let calibrate = ["calibrate", "--model", "lane.onnx", "--sim", drives];
-    gapwatch_in(share, &[&calibrate[..], &["--out", "reference.json"]].concat()).ok();
+    gapwatch_in(
+        share,
+        &[&calibrate[..], &["--out", "reference.json"]].concat(),
+    )
+    .ok();
     fs::write(
         share.join("car.toml"),
         "[camera]\nsource = \"v4l2:/dev/video0\"\nformat = \"YUYV\"\nsize = \"320x160\"\n\
@@ -121,6 +127,13 @@ fn stage(share: &Path) {
         &clips.join("covered"),
         &painted(&|n, x, y| (x < 200).then_some((n as u32 + x + y) as u8 % 4)),
     );
+    clip(
+        &clips.join("paper"),
+        &painted(&|n, x, y| {
+            let mixed = n as u32 * 7_919 + x * 104_729 + y * 1_299_709;
+            (x < 240).then_some(190 + (mixed / 13 % 7) as u8)
+        }),
+    );
     clip(&clips.join("night"), &pictures(NIGHT));
     fs::write(share.join("clear"), clear_requests()).unwrap();
     fs::copy(format!("{ROOT}/tests/vm/guest.sh"), share.join("guest.sh")).unwrap();
@@ -143,7 +156,12 @@ fn clear_requests() -> String {
 
 fn pictures(name: &str) -> Vec<Picture> {
     let mut source = open(name).unwrap();
-    let next = || source.next_frame().unwrap().map(|frame| frame.picture.unwrap());
+    let next = || {
+        source
+            .next_frame()
+            .unwrap()
+            .map(|frame| frame.picture.unwrap())
+    };
     std::iter::from_fn(next).collect()
 }
 
@@ -182,6 +200,7 @@ fn through_yuyv(picture: &Picture) -> Picture {
 }
 
 /// A frame that candump logged.
+#[derive(Clone)]
 struct Logged {
     at: f64,
     bus: String,
@@ -216,7 +235,9 @@ fn logged(share: &Path) -> Vec<Logged> {
 fn between<'a>(log: &'a [Logged], from: &str, to: &str) -> &'a [Logged] {
     let marked = |word: &str| {
         let is = |logged: &Logged| logged.id == "7F0" && logged.data == word.as_bytes();
-        log.iter().position(is).unwrap_or_else(|| panic!("no mark {word}"))
+        log.iter()
+            .position(is)
+            .unwrap_or_else(|| panic!("no mark {word}"))
     };
     &log[marked(from) + 1..marked(to)]
 }
@@ -240,7 +261,9 @@ fn statuses(log: &[Logged]) -> Vec<(f64, GapStatus)> {
 
 fn journal_of(folder: &Path, name: &str) -> Vec<Entry> {
     let read = journal::read(&folder.join(name)).unwrap().entries;
-    read.into_iter().filter(|entry| entry.sequence.is_some()).collect()
+    read.into_iter()
+        .filter(|entry| entry.sequence.is_some())
+        .collect()
 }
 
 /// The lane model and reference of the machine.
@@ -266,7 +289,7 @@ impl Judge {
 
 fn look(monitor: &mut Monitor, entry: &Entry, picture: &Picture) -> Verdict {
     monitor.step(&Frame {
-        sequence: 0,
+        sequence: entry.sequence.unwrap(),
         captured_at: Duration::from_secs_f64(entry.t_s),
         picture: Ok(picture.clone()),
     })
@@ -292,17 +315,20 @@ fn shown(share: &Path, seen: &[Entry], clip: &[Picture]) -> Vec<usize> {
             }
             _ => (0..clip.len() / 2).collect(),
         };
-        let found = wanted.into_iter().filter(|&at| at < clip.len()).find(|&at| {
-            let fits = explains(&look(&mut monitor, entry, &clip[at]), entry);
-            if !fits {
-                // A monitor cannot forget: another one sees all that came before.
-                monitor = judge.monitor();
-                for (entry, &at) in seen.iter().zip(&shown) {
-                    look(&mut monitor, entry, &clip[at]);
+        let found = wanted
+            .into_iter()
+            .filter(|&at| at < clip.len())
+            .find(|&at| {
+                let fits = explains(&look(&mut monitor, entry, &clip[at]), entry);
+                if !fits {
+                    // A monitor cannot forget: another one sees all that came before.
+                    monitor = judge.monitor();
+                    for (entry, &at) in seen.iter().zip(&shown) {
+                        look(&mut monitor, entry, &clip[at]);
+                    }
                 }
-            }
-            fits
-        });
+                fits
+            });
         shown.push(found.unwrap_or_else(|| panic!("no frame of the clip explains {entry:?}")));
     }
     shown
@@ -330,12 +356,14 @@ fn judged(share: &Path, seen: &[Entry], pictures: &[&Picture]) -> Vec<Verdict> {
     let judge = Judge::new(share);
     let mut monitor = judge.monitor();
     let frames = seen.iter().zip(pictures);
-    frames.map(|(entry, picture)| look(&mut monitor, entry, picture)).collect()
+    frames
+        .map(|(entry, picture)| look(&mut monitor, entry, picture))
+        .collect()
 }
 
 #[test]
 #[ignore = "needs qemu and Debian's kernel: run tests/run"]
-fn verdicts_through_camera_and_kernel_equal_those_of_a_replay() {
+fn vm_verdicts_through_camera_and_kernel_equal_those_of_a_replay() {
     let share = machine();
     let seen = journal_of(&share, "drive.jsonl");
     assert!(seen.len() > 100, "{} frames judged", seen.len());
@@ -356,24 +384,35 @@ fn verdicts_through_camera_and_kernel_equal_those_of_a_replay() {
             beyond = beyond.max(difference / ours);
         }
     }
-    assert!(nominal < 0.02, "below the threshold scores differ by {nominal}");
+    assert!(
+        nominal < 0.02,
+        "below the threshold scores differ by {nominal}"
+    );
     assert!(beyond < 0.05, "above it by a share of {beyond}");
 
     // The program on the same files, ten a second: a window of 1 s may hold one frame more or less.
     let replay = replayed(&share, files.into_iter());
     let (ours, theirs) = (changes(&seen), changes(&replay));
-    let states = |changes: &[(f64, AlarmState)]| -> Vec<AlarmState> { changes.iter().map(|c| c.1).collect() };
+    let states = |changes: &[(f64, AlarmState)]| -> Vec<AlarmState> {
+        changes.iter().map(|c| c.1).collect()
+    };
     use AlarmState::{Gap, Init, Ok, Suspect};
     assert_eq!(states(&ours), [Init, Ok, Suspect, Gap, Ok]);
     assert_eq!(states(&theirs), states(&ours));
     for (ours, theirs) in ours.iter().zip(&theirs) {
         assert!((ours.0 - theirs.0).abs() < 0.25, "{ours:?} {theirs:?}");
     }
-    report(&share, "equal", &format!(
-        "Camera and replay of the same files: {} frames, states {:?}; scores equal to {SAME} on the pixels of the camera; \
+    report(
+        &share,
+        "equal",
+        &format!(
+            "Camera and replay of the same files: {} frames, states {:?}; scores equal to {SAME} on the pixels of the camera; \
          against the files they differ by {nominal:.4} at most below the threshold and by {:.1} % above it (YUYV).\n",
-        seen.len(), states(&ours), 100.0 * beyond
-    ));
+            seen.len(),
+            states(&ours),
+            100.0 * beyond
+        ),
+    );
 }
 
 /// Changes of state with their times.
@@ -394,11 +433,14 @@ fn report(share: &Path, name: &str, text: &str) {
 
 #[test]
 #[ignore = "needs qemu and the Python packages of tests/requirements.txt: run tests/run"]
-fn candump_and_cantools_read_the_warning_from_the_bus() {
+fn vm_candump_and_cantools_read_the_warning_from_the_bus() {
     let share = machine();
     let log = logged(&share);
     let drive = between(&log, "drive", "after").iter();
-    let lines: String = drive.filter(|l| l.bus == "vcan0").map(|l| l.line.as_str()).collect();
+    let lines: String = drive
+        .filter(|l| l.bus == "vcan0")
+        .map(|l| l.line.as_str())
+        .collect();
     let file = share.join("drive.log");
     fs::write(&file, lines).unwrap();
     let python = std::env::var("GAPWATCH_PYTHON").expect("GAPWATCH_PYTHON; tests/run sets it");
@@ -411,17 +453,28 @@ fn candump_and_cantools_read_the_warning_from_the_bus() {
         .output()
         .unwrap();
     let said = String::from_utf8(out.stdout).unwrap();
-    assert!(out.status.success(), "{said}{}", String::from_utf8_lossy(&out.stderr));
+    assert!(
+        out.status.success(),
+        "{said}{}",
+        String::from_utf8_lossy(&out.stderr)
+    );
     let read: serde_json::Value = serde_json::from_str(said.trim()).unwrap();
     assert!(read["status_frames"].as_u64().unwrap() >= 115, "{read}");
-    let states = read["states"].as_array().unwrap().iter().map(|s| s[1].as_str().unwrap());
+    let states = read["states"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|s| s[1].as_str().unwrap());
     let states: Vec<&str> = states.collect();
-    assert_eq!(states, ["Init", "Ok", "Suspect", "Gap", "Ok", "Unavailable"]);
+    assert_eq!(
+        states,
+        ["Init", "Ok", "Suspect", "Gap", "Ok", "Unavailable"]
+    );
 }
 
 #[test]
 #[ignore = "needs qemu and Debian's kernel: run tests/run"]
-fn a_verdict_is_on_the_bus_soon_after_its_frame() {
+fn vm_a_verdict_is_on_the_bus_soon_after_its_frame() {
     let share = machine();
     let log = logged(&share);
     let bus = statuses(between(&log, "drive", "after"));
@@ -430,7 +483,9 @@ fn a_verdict_is_on_the_bus_soon_after_its_frame() {
     let began = bus[0].0;
     let mut told = vec![];
     for (at, state) in changes(&seen).into_iter().skip(1) {
-        let on_bus = bus.iter().find(|(on_bus, status)| *on_bus - began >= at && status.state == state);
+        let on_bus = bus
+            .iter()
+            .find(|(on_bus, status)| *on_bus - began >= at && status.state == state);
         let (on_bus, _) = on_bus.unwrap_or_else(|| panic!("{state:?} of {at} s is not on the bus"));
         told.push((on_bus - began - at) * 1e3);
     }
@@ -438,14 +493,27 @@ fn a_verdict_is_on_the_bus_soon_after_its_frame() {
     let reaction = percentiles(told);
     assert!(reaction[2] < 80.0, "frame to bus, ms: {reaction:?}");
     assert!(latencies[2] < 80.0, "frame to verdict, ms: {latencies:?}");
-    let cyclic: Vec<f64> = bus.windows(2).map(|pair| (pair[1].0 - pair[0].0) * 1e3).collect();
+    let cyclic: Vec<f64> = bus
+        .windows(2)
+        .map(|pair| (pair[1].0 - pair[0].0) * 1e3)
+        .collect();
     let pauses = percentiles(cyclic);
     assert!(pauses[2] < 121.0, "between status frames, ms: {pauses:?}");
-    report(&share, "reaction", &format!(
-        "Reaction: frame to verdict handed to the bus p50 {:.1} ms, p99 {:.1} ms over {} frames; changes of state on the bus \
+    report(
+        &share,
+        "reaction",
+        &format!(
+            "Reaction: frame to verdict handed to the bus p50 {:.1} ms, p99 {:.1} ms over {} frames; changes of state on the bus \
          {:.1} ms after their frame at most; pauses between status frames p50 {:.1} ms, p99 {:.1} ms, longest {:.1} ms.\n",
-        latencies[0], latencies[1], seen.len(), reaction[2], pauses[0], pauses[1], pauses[2]
-    ));
+            latencies[0],
+            latencies[1],
+            seen.len(),
+            reaction[2],
+            pauses[0],
+            pauses[1],
+            pauses[2]
+        ),
+    );
 }
 
 /// Median, 99th percentile and largest.
@@ -470,7 +538,7 @@ enum Wanted {
     Silence,
 }
 
-const FAULTS: [Row; 16] = {
+const FAULTS: [Row; 17] = {
     use AlarmState::{SensorFault, Unavailable};
     use Wanted::{Ok, Silence, State};
     const fn row(mark: &'static str, what: &'static str, wanted: Wanted) -> Row {
@@ -479,43 +547,71 @@ const FAULTS: [Row; 16] = {
     // The player is up to six frames ahead of the camera.
     [
         row("wrap", "the driver's frame numbers wrap", Ok),
-        row("black", "black picture", State(SensorFault, Reason::Black, 0.9)),
-        row("grey", "picture of one colour", State(SensorFault, Reason::Uniform, 0.9)),
-        row("frozen", "frozen picture", State(SensorFault, Reason::Frozen, 1.4)),
-        row("covered", "lens covered to 62 %, black", State(SensorFault, Reason::Covered, 0.9)),
+        row(
+            "black",
+            "black picture",
+            State(SensorFault, Reason::Black, 0.9),
+        ),
+        row(
+            "grey",
+            "picture of one colour",
+            State(SensorFault, Reason::Uniform, 0.9),
+        ),
+        row(
+            "frozen",
+            "frozen picture",
+            State(SensorFault, Reason::Frozen, 1.4),
+        ),
+        row(
+            "covered",
+            "lens covered to 62 %, black",
+            State(SensorFault, Reason::Covered, 0.9),
+        ),
+        row(
+            "paper",
+            "lens covered to 75 %, bright",
+            State(SensorFault, Reason::Covered, 2.0),
+        ),
         row("damaged", "a buffer flagged as damaged", Ok),
-        row("refused", "a buffer that the driver refuses", Ok),
         row("fatal", "fatal error of the stream", Ok),
         row("lost", "30 % of the frames lost", Ok),
-        row("stall", "camera gives nothing", State(Unavailable, Reason::Stale, 0.7)),
+        row(
+            "stall",
+            "camera gives nothing",
+            State(Unavailable, Reason::Stale, 0.7),
+        ),
         row("offline", "device error until it is closed", Ok),
-        row("unplug", "camera unplugged", State(Unavailable, Reason::Stale, 0.7)),
+        row(
+            "unplug",
+            "camera unplugged",
+            State(Unavailable, Reason::Stale, 0.7),
+        ),
         row("busdown", "bus down", Silence),
         row("busfull", "queue of the bus full", Ok),
         row("busgone", "bus deleted", Silence),
         row("foreign", "another node sends our GapHealth once", Ok),
+        row("paused", "program stopped for 1.5 s", Silence),
     ]
 };
 
 #[test]
 #[ignore = "needs qemu and Debian's kernel: run tests/run"]
-fn faults_are_called_by_name_and_never_ok_or_gap() {
+fn vm_faults_are_called_by_name_and_never_ok_or_gap() {
     let share = machine();
     let log = logged(&share);
-    let all = statuses(between(&log, "nominal", "killed"));
+    let all = statuses(between(&log, "faults", "killed"));
     let marks: Vec<(f64, String)> = log
         .iter()
         .filter(|logged| logged.id == "7F0")
         .map(|logged| (logged.at, String::from_utf8(logged.data.clone()).unwrap()))
         .collect();
-    let mut table = "| fault | state | told after, s | Ok again after, s |\n|---|---|---|---|\n".to_owned();
+    let mut table =
+        "| fault | state | told after, s | Ok again after, s |\n|---|---|---|---|\n".to_owned();
     let mut wrong = vec![];
     for row in &FAULTS {
         let at = marks.iter().position(|mark| mark.1 == row.mark).unwrap();
         let [begin, end, next] = [at, at + 1, at + 2].map(|at| marks[at].0);
-        let within = |from: f64, to: f64| {
-            all.iter().filter(move |(at, _)| (from..to).contains(at))
-        };
+        let within = |from: f64, to: f64| all.iter().filter(move |(at, _)| (from..to).contains(at));
         let mut complain = |what: String| wrong.push(format!("{}: {what}", row.what));
         let mut told = None;
         match row.wanted {
@@ -528,7 +624,9 @@ fn faults_are_called_by_name_and_never_ok_or_gap() {
             }
             Wanted::State(state, reason, soon) => {
                 let is = |status: &GapStatus| (status.state, status.reason) == (state, reason);
-                told = within(begin, end).find(|(_, status)| is(status)).map(|(at, _)| at - begin);
+                told = within(begin, end)
+                    .find(|(_, status)| is(status))
+                    .map(|(at, _)| at - begin);
                 let from = begin + told.unwrap_or(0.0);
                 if told.is_none_or(|told| told > soon) {
                     complain(format!("{reason:?} told after {told:?} s, wanted {soon} s"));
@@ -536,7 +634,9 @@ fn faults_are_called_by_name_and_never_ok_or_gap() {
                 for (at, status) in within(from, end).filter(|(_, status)| !is(status)) {
                     complain(format!("{status:?} after {:.2} s", at - begin));
                 }
-                for (at, status) in within(begin, next).filter(|(_, status)| status.state == AlarmState::Gap) {
+                for (at, status) in
+                    within(begin, next).filter(|(_, status)| status.state == AlarmState::Gap)
+                {
                     complain(format!("{status:?} after {:.2} s", at - begin));
                 }
             }
@@ -547,7 +647,10 @@ fn faults_are_called_by_name_and_never_ok_or_gap() {
             }
         }
         let bad = |(_, status): &&(f64, GapStatus)| status.state != AlarmState::Ok;
-        let last_bad = within(end, next).filter(bad).last().map_or(end, |(at, _)| *at);
+        let last_bad = within(end, next)
+            .filter(bad)
+            .last()
+            .map_or(end, |(at, _)| *at);
         let again = within(last_bad, next).find(|(_, status)| status.state == AlarmState::Ok);
         if again.is_none() {
             complain("no Ok after it was over".to_owned());
@@ -565,6 +668,117 @@ fn faults_are_called_by_name_and_never_ok_or_gap() {
         writeln!(table, "| {} | {state} | {told} | {again} |", row.what).unwrap();
     }
     report(&share, "faults", &table);
+    let again = marks.iter().position(|mark| mark.1 == "paused").unwrap() + 1;
+    let first = all.iter().find(|(at, _)| *at >= marks[again].0).unwrap().1;
+    if first.state != AlarmState::Unavailable {
+        wrong.push(format!("after a pause the first word was {first:?}"));
+    }
     assert!(wrong.is_empty(), "{table}{}", wrong.join("\n"));
+}
+
+#[test]
+#[ignore = "needs qemu and Debian's kernel: run tests/run"]
+fn vm_a_night_is_a_gap_and_its_stored_bit_is_cleared_by_a_valid_request_only() {
+    let share = machine();
+    let log = logged(&share);
+    let night = statuses(between(&log, "night", "clear"));
+    assert!(
+        night
+            .iter()
+            .any(|(_, status)| status.state == AlarmState::Gap)
+    );
+    for (at, status) in &night {
+        let fault = [AlarmState::SensorFault, AlarmState::Unavailable].contains(&status.state);
+        assert!(!fault, "{at}: {status:?}");
+    }
+    assert_eq!(night.last().unwrap().1.state, AlarmState::Ok);
+    let clear = between(&log, "clear", "killed");
+    let requests: Vec<f64> = clear
+        .iter()
+        .filter(|l| l.id == "5D8")
+        .map(|l| l.at)
+        .collect();
+    let stored_after = |from: f64, to: f64| {
+        let statuses = statuses(clear);
+        let last = statuses.iter().rfind(|(at, _)| (from..to).contains(at));
+        last.unwrap().1.gap_stored
+    };
+    assert!(
+        stored_after(requests[0], requests[1]),
+        "cleared by a wrong checksum"
+    );
+    assert!(
+        !stored_after(requests[1], requests[2]),
+        "not cleared by a right one"
+    );
+}
+
+#[test]
+#[ignore = "needs qemu and Debian's kernel: run tests/run"]
+fn vm_silence_follows_a_kill_and_a_foreign_sender_is_refused_at_the_start() {
+    let share = machine();
+    let log = logged(&share);
+    assert!(statuses(between(&log, "killed", "again")).is_empty());
+    let again = statuses(between(&log, "again", "other"));
+    assert_eq!(again[0].1.state, AlarmState::Init);
+    assert!(
+        again
+            .iter()
+            .any(|(_, status)| status.state == AlarmState::Ok)
+    );
+    let said = fs::read_to_string(share.join("other.err")).unwrap();
+    assert!(
+        said.contains("0x5D0 is already sent by another node"),
+        "{said}"
+    );
     assert_eq!(fs::read_to_string(share.join("other.code")).unwrap(), "2\n");
+    for code in ["drive.code", "again.code"] {
+        assert_eq!(fs::read_to_string(share.join(code)).unwrap(), "0\n");
+    }
+}
+
+#[test]
+#[ignore = "needs qemu and Debian's kernel: run tests/run"]
+fn vm_a_controller_in_trouble_is_told_and_nothing_is_lost_in_bus_off() {
+    let share = machine();
+    let log = logged(&share);
+    let on_adapter = |from: &str, to: &str| -> Vec<Logged> {
+        let all = between(&log, from, to).iter().filter(|l| l.bus == "can0");
+        all.cloned()
+            .map(|l| Logged {
+                bus: "vcan0".to_owned(),
+                ..l
+            })
+            .collect()
+    };
+    // Every counter follows the one before, through bus-off too.
+    let all = statuses(&on_adapter("adapter", "done"));
+    assert!(all.iter().any(|(_, status)| status.state == AlarmState::Ok));
+    let told = |from: &str, to: &str| {
+        let frames = on_adapter(from, to);
+        let health = frames.iter().rfind(|l| l.id == "5D1").unwrap();
+        let data: [u8; 8] = health.data.as_slice().try_into().unwrap();
+        GapHealth::from_bytes(&data).unwrap().bus_state
+    };
+    assert_eq!(told("adapter", "warning"), BusState::Unknown);
+    assert_eq!(told("warning", "passive"), BusState::Warning);
+    assert_eq!(told("passive", "off"), BusState::Passive);
+    let off = statuses(&on_adapter("off", "back"));
+    assert!(off.len() <= 1, "{off:?} in bus-off");
+    let back = statuses(&on_adapter("back", "done"));
+    let marked = between(&log, "off", "done")
+        .iter()
+        .find(|l| l.id == "7F0")
+        .unwrap()
+        .at;
+    assert!(
+        back[0].0 - marked < 0.3,
+        "{} s after the bus was back",
+        back[0].0 - marked
+    );
+    let said = fs::read_to_string(share.join("adapter.err")).unwrap();
+    assert!(
+        said.contains("Passive -> Off") && said.contains("off the bus"),
+        "{said}"
+    );
 }

@@ -1,17 +1,29 @@
 //! A CAN socket of Linux in the place of the log.
 //!
 //! Owns the socket: it never blocks, and it is opened again when the interface comes back. Refuses to give up: a bus that
-//! is down, full or unplugged refuses frames, and the sender keeps and counts them.
+//! is down, full, unplugged or off refuses frames, and the sender keeps and counts them. In bus-off the kernel goes on
+//! taking frames and loses them, so nothing is written then.
 
+use std::fs;
 use std::io;
 use std::time::Duration;
 
-use socketcan::{CanFilter, CanSocket, EmbeddedFrame, Id, Socket, SocketOptions, StandardId};
+use socketcan::{
+    CanErrorFrame, CanFilter, CanSocket, EmbeddedFrame, Id, Socket, SocketOptions, StandardId,
+};
 
-use super::{CanFrame, LARGEST_ID, SinkError, WarningSink};
+use super::{BusState, CanFrame, LARGEST_ID, SinkError, WarningSink};
 
 /// Time between two attempts to open a socket on an interface that has gone.
 const REOPEN: Duration = Duration::from_millis(200);
+
+/// Kinds of error frames that are listened for, and what the second data byte of a controller's says (`linux/can/error.h`).
+const CONTROLLER: u32 = 0x04;
+const BUS_OFF: u32 = 0x40;
+const RESTARTED: u32 = 0x100;
+const NEAR_WARNING: u8 = 0x04 | 0x08;
+const NEAR_PASSIVE: u8 = 0x10 | 0x20;
+const ACTIVE: u8 = 0x40;
 
 /// Bits of a socket's filter that tell extended and remote frames from standard data frames (`linux/can.h`).
 const NOT_STANDARD_DATA: u32 = 0xC000_0000;
@@ -23,8 +35,9 @@ pub struct SocketSink {
     interface: String,
     heard: Vec<u16>,
     socket: Option<CanSocket>,
-    /// Drive time before which the socket is not opened again.
+    /// Drive time before which the socket is not opened again, and a bus that is off is not looked at again.
     reopen_at: Duration,
+    state: BusState,
 }
 
 impl SocketSink {
@@ -41,12 +54,28 @@ impl SocketSink {
                 heard: heard.to_vec(),
                 socket: Some(socket),
                 reopen_at: Duration::ZERO,
+                state: if carrier(interface) == Some(false) {
+                    BusState::Off
+                } else {
+                    BusState::Unknown
+                },
             }),
             Err(source) => Err(SinkError::Open { sink: name, source }),
         }
     }
 
     fn write(&mut self, at: Duration, frame: &CanFrame) -> io::Result<()> {
+        if self.state == BusState::Off {
+            let off = || io::Error::other("it is off the bus after too many errors");
+            if at < self.reopen_at {
+                return Err(off());
+            }
+            self.reopen_at = at + REOPEN;
+            if carrier(&self.interface) == Some(false) {
+                return Err(off());
+            }
+            self.hear_state(BusState::Unknown);
+        }
         if self.socket.is_none() {
             if at < self.reopen_at {
                 return Err(io::ErrorKind::NotConnected.into());
@@ -74,6 +103,41 @@ impl SocketSink {
         }
         taken
     }
+
+    fn hear_state(&mut self, state: BusState) {
+        if state != self.state {
+            log::warn!("{}: {:?} -> {state:?}", self.name, self.state);
+            self.state = state;
+        }
+    }
+}
+
+/// Whether the interface has a carrier: without one its controller is off the bus. `None` when it is down or gone.
+fn carrier(interface: &str) -> Option<bool> {
+    let said = fs::read_to_string(format!("/sys/class/net/{interface}/carrier"));
+    said.ok().map(|said| said.trim() == "1")
+}
+
+/// What an error frame says of the controller, if it says anything.
+fn state_of(frame: &CanErrorFrame) -> Option<BusState> {
+    let bits = frame.error_bits();
+    let controller = frame
+        .data()
+        .get(1)
+        .copied()
+        .filter(|_| bits & CONTROLLER != 0);
+    let says = |any: u8| controller.is_some_and(|byte| byte & any != 0);
+    if bits & BUS_OFF != 0 {
+        Some(BusState::Off)
+    } else if says(NEAR_PASSIVE) {
+        Some(BusState::Passive)
+    } else if says(NEAR_WARNING) {
+        Some(BusState::Warning)
+    } else if says(ACTIVE) || bits & RESTARTED != 0 {
+        Some(BusState::Active)
+    } else {
+        None
+    }
 }
 
 /// Down (ENETDOWN), full (ENOBUFS) or interrupted.
@@ -94,6 +158,7 @@ fn socket(interface: &str, heard: &[u16]) -> io::Result<CanSocket> {
         .map(|&id| CanFilter::new(id.into(), mask))
         .collect();
     socket.set_filters(&filters)?;
+    socket.set_error_filter(CONTROLLER | BUS_OFF | RESTARTED)?;
     Ok(socket)
 }
 
@@ -105,10 +170,18 @@ impl WarningSink for SocketSink {
         })
     }
 
+    fn bus_state(&self) -> BusState {
+        self.state
+    }
+
     fn receive(&mut self) -> Option<CanFrame> {
-        let socket = self.socket.as_ref()?;
         loop {
-            match socket.read_frame() {
+            match self.socket.as_ref()?.read_frame() {
+                Ok(socketcan::CanFrame::Error(frame)) => {
+                    if let Some(state) = state_of(&frame) {
+                        self.hear_state(state);
+                    }
+                }
                 Ok(frame) => {
                     if let (Id::Standard(id), Ok(data)) = (frame.id(), frame.data().try_into()) {
                         let id = id.as_raw();
@@ -127,6 +200,22 @@ impl WarningSink for SocketSink {
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
+
+    #[test]
+    fn error_frames_say_how_the_controller_stands() {
+        let frame = |bits, says| {
+            let data = [0, says, 0, 0, 0, 0, 0, 0];
+            state_of(&CanErrorFrame::new_error(bits, &data).unwrap())
+        };
+        assert_eq!(frame(BUS_OFF, 0), Some(BusState::Off));
+        assert_eq!(frame(RESTARTED, 0), Some(BusState::Active));
+        assert_eq!(frame(CONTROLLER, 0x08), Some(BusState::Warning));
+        assert_eq!(frame(CONTROLLER, 0x24), Some(BusState::Passive));
+        assert_eq!(frame(CONTROLLER, 0x40), Some(BusState::Active));
+        // Full buffers and single errors on the wire change nothing.
+        assert_eq!(frame(CONTROLLER, 0x02), None);
+        assert_eq!(frame(0x88, 0x40), None);
+    }
 
     #[test]
     fn an_interface_that_is_not_there_is_named() {

@@ -9,9 +9,10 @@ use std::time::Duration;
 
 use thiserror::Error;
 
+use super::BusState;
 use super::generated::{
-    self, GapClearClearCode as ClearCode, GapStatusReason as ReasonCode,
-    GapStatusState as StateCode,
+    self, GapClearClearCode as ClearCode, GapHealthBusState as BusCode,
+    GapStatusReason as ReasonCode, GapStatusState as StateCode,
 };
 use crate::alarm::{AlarmState, Reason};
 
@@ -130,6 +131,8 @@ impl GapStatus {
 pub struct GapHealth {
     /// Whether the reference holds simulation alone, so that any real road is a gap.
     pub strict: bool,
+    /// How our controller stands on the bus.
+    pub bus_state: BusState,
     /// Judged frames a second; on the bus 0 to 63.5 Hz in steps of 0.25 Hz.
     pub frame_rate_hz: Option<f64>,
     /// Frames dropped since start; on the bus 254 at most.
@@ -152,6 +155,7 @@ impl GapHealth {
         let latency = |time| steps_of_time(time, LATENCY_STEP, LARGEST, NOT_AVAILABLE);
         let dropped = u8::try_from(self.dropped_frames).unwrap_or(LARGEST);
         message.set_strict_raw_val(self.strict.into());
+        message.set_bus_state_raw_val(bus_code(self.bus_state).into());
         message.set_frame_rate_raw_val(steps(self.frame_rate_hz, FRAME_RATE_STEP_HZ, LARGEST));
         message.set_dropped_frames_raw_val(dropped.min(LARGEST));
         message.set_latency_p50_raw_val(latency(self.latency_p50));
@@ -164,8 +168,8 @@ impl GapHealth {
     /// Reads the 8 bytes of a checked frame. The value 254 of `dropped_frames` may mean more.
     ///
     /// # Errors
-    /// [`MessageError`] when the window is more than full, or the dropped frames are not
-    /// available, which gapwatch never sends.
+    /// [`MessageError`] when the window is more than full, the bus state has no meaning, or the
+    /// dropped frames are not available, which gapwatch never sends.
     pub fn from_bytes(data: &[u8; 8]) -> Result<Self, MessageError> {
         let message =
             generated::GapHealth::try_from(data.as_slice()).expect("a message of 8 bytes");
@@ -184,6 +188,8 @@ impl GapHealth {
         }
         Ok(Self {
             strict: message.strict(),
+            bus_state: bus_of(message.bus_state())
+                .ok_or_else(|| unknown("BusState", message.bus_state_raw_val()))?,
             frame_rate_hz: number(message.frame_rate_raw_val(), FRAME_RATE_STEP_HZ),
             dropped_frames: dropped.into(),
             latency_p50: time(message.latency_p50_raw_val(), LATENCY_STEP, NOT_AVAILABLE),
@@ -261,6 +267,7 @@ fn reason_code(reason: Reason) -> ReasonCode {
         Reason::Undefined => ReasonCode::Undefined,
         Reason::Frozen => ReasonCode::Frozen,
         Reason::Covered => ReasonCode::Covered,
+        Reason::Lagging => ReasonCode::Lagging,
         Reason::Stopped => ReasonCode::Stopped,
     }
 }
@@ -279,8 +286,30 @@ fn reason_of(code: ReasonCode) -> Option<Reason> {
         ReasonCode::Undefined => Some(Reason::Undefined),
         ReasonCode::Frozen => Some(Reason::Frozen),
         ReasonCode::Covered => Some(Reason::Covered),
+        ReasonCode::Lagging => Some(Reason::Lagging),
         ReasonCode::Stopped => Some(Reason::Stopped),
         ReasonCode::NotAvailable | ReasonCode::_Other(_) => None,
+    }
+}
+
+fn bus_code(state: BusState) -> BusCode {
+    match state {
+        BusState::Unknown => BusCode::Unknown,
+        BusState::Active => BusCode::Active,
+        BusState::Warning => BusCode::Warning,
+        BusState::Passive => BusCode::Passive,
+        BusState::Off => BusCode::Off,
+    }
+}
+
+fn bus_of(code: BusCode) -> Option<BusState> {
+    match code {
+        BusCode::Unknown => Some(BusState::Unknown),
+        BusCode::Active => Some(BusState::Active),
+        BusCode::Warning => Some(BusState::Warning),
+        BusCode::Passive => Some(BusState::Passive),
+        BusCode::Off => Some(BusState::Off),
+        BusCode::_Other(_) => None,
     }
 }
 
@@ -325,7 +354,7 @@ mod tests {
         (AlarmState::SensorFault, 4),
         (AlarmState::Unavailable, 5),
     ];
-    const REASONS: [(Reason, u8); 13] = [
+    const REASONS: [(Reason, u8); 14] = [
         (Reason::None, 0),
         (Reason::Starting, 1),
         (Reason::Abrupt, 2),
@@ -335,6 +364,7 @@ mod tests {
         (Reason::Corrupt, 6),
         (Reason::Frozen, 7),
         (Reason::Covered, 8),
+        (Reason::Lagging, 9),
         (Reason::Stale, 10),
         (Reason::Stopped, 11),
         (Reason::Undefined, 13),
@@ -356,6 +386,7 @@ mod tests {
     fn health() -> GapHealth {
         GapHealth {
             strict: true,
+            bus_state: BusState::Unknown,
             frame_rate_hz: Some(10.0),
             dropped_frames: 3,
             latency_p50: Some(Duration::from_millis(24)),
@@ -411,14 +442,36 @@ mod tests {
             let refused = with_byte_2(code).unwrap_err();
             assert_eq!((refused.signal, refused.code), ("State", code));
         }
-        for code in [9, 12, 15] {
+        for code in [12, 15] {
             let refused = with_byte_2(code << 4).unwrap_err();
             assert_eq!((refused.signal, refused.code), ("Reason", code));
         }
         let refused = GapHealth::from_bytes(&[0, 0, 0, 255, 0, 0, 0, 0]).unwrap_err();
         assert_eq!((refused.signal, refused.code), ("DroppedFrames", 255));
+        let refused = GapHealth::from_bytes(&[0, 0xE0, 0, 0, 0, 0, 0, 0]).unwrap_err();
+        assert_eq!((refused.signal, refused.code), ("BusState", 7));
         let refused = GapHealth::from_bytes(&[0, 0, 0, 0, 0, 0, 201, 0]).unwrap_err();
         assert_eq!((refused.signal, refused.code), ("WindowFill", 201));
+    }
+
+    #[test]
+    fn every_bus_state_has_its_code() {
+        for (bus_state, code) in [
+            (BusState::Unknown, 0),
+            (BusState::Active, 1),
+            (BusState::Warning, 2),
+            (BusState::Passive, 3),
+            (BusState::Off, 4),
+        ] {
+            let sent = GapHealth {
+                strict: false,
+                bus_state,
+                ..health()
+            };
+            let bytes = sent.to_bytes();
+            assert_eq!(bytes[1], code << 5);
+            assert_eq!(GapHealth::from_bytes(&bytes).unwrap().bus_state, bus_state);
+        }
     }
 
     #[test]

@@ -99,6 +99,13 @@ impl StatusSender {
         self.health.update = Some((now, *health));
     }
 
+    /// Gives up cyclic frames that fell due before `now` when that was more than a cycle ago, as when the program was
+    /// stopped: on a live bus nobody is to hear what was valid then. Call it before an [`update`](Self::update).
+    pub fn skip_missed(&mut self, now: Duration) {
+        self.status.skip_missed(now);
+        self.health.skip_missed(now);
+    }
+
     /// Sends all frames due up to and including `now`, in the order of their due times. A frame
     /// that the sink refuses is offered again by the next call, and sent with the time of that.
     ///
@@ -219,6 +226,12 @@ impl<T: Copy> Schedule<T> {
         }
     }
 
+    fn skip_missed(&mut self, now: Duration) {
+        if self.told.is_some() && self.next_cyclic + self.period <= now {
+            self.next_cyclic = now;
+        }
+    }
+
     /// When the next frame is due, unless that is after `until`. An update comes into force as
     /// soon as no frame is due before it.
     fn due(&mut self, until: Duration) -> Option<Duration> {
@@ -288,6 +301,7 @@ mod tests {
 
     const HEALTH: GapHealth = GapHealth {
         strict: false,
+        bus_state: crate::can::BusState::Unknown,
         frame_rate_hz: Some(10.0),
         dropped_frames: 0,
         latency_p50: None,
@@ -419,6 +433,18 @@ mod tests {
         sender.poll(ms(200), &mut bus).unwrap();
         sender.poll(ms(300), &mut bus).unwrap();
         let wanted = [(0, Init), (100, Init), (200, Init), (250, Gap), (300, Gap)];
+        assert_eq!(bus.states(), wanted);
+    }
+
+    #[test]
+    fn a_program_that_was_stopped_does_not_say_what_was_valid_before() {
+        let (mut sender, mut bus) = (sender(), Bus::default());
+        sender.update(ms(0), &status(Fine));
+        sender.poll(ms(110), &mut bus).unwrap();
+        sender.skip_missed(ms(1_150));
+        sender.update(ms(1_150), &status(Init));
+        sender.poll(ms(1_250), &mut bus).unwrap();
+        let wanted = [(0, Fine), (100, Fine), (1_150, Init), (1_250, Init)];
         assert_eq!(bus.states(), wanted);
     }
 

@@ -314,6 +314,7 @@ impl<'a> Stages<'a> {
         };
         let health = GapHealth {
             strict: self.reference.strict,
+            bus_state: gapwatch::can::BusState::Unknown,
             frame_rate_hz: None,
             dropped_frames: 0,
             latency_p50: None,

@@ -92,6 +92,7 @@ impl Bus {
     fn tell_health_of(&mut self, now: Duration, at: Duration) {
         let health = GapHealth {
             strict: self.strict,
+            bus_state: self.sink.bus_state(),
             frame_rate_hz: Some(self.health.judged_rate_hz(at)),
             dropped_frames: self.dropped_frames,
             latency_p50: self.health.latency(0.5),
@@ -100,6 +101,11 @@ impl Bus {
             reference_id: self.reference_id,
         };
         self.sender.update_health(now, &health);
+    }
+
+    /// On a live bus, before anything is told: gives up what fell due while this program was not running.
+    pub fn skip_missed(&mut self, now: Duration) {
+        self.sender.skip_missed(now);
     }
 
     /// Sends what fell due up to `now`. A bus that takes nothing is no end: the sender keeps and counts what waits.

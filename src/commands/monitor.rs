@@ -36,6 +36,8 @@ const PATIENCE: Duration = Duration::from_millis(50);
 /// Without a word of the judge for this long the bus is told that there is no verdict: 500 ms, as for a camera that gives
 /// no frame, and the judge's patience.
 const SILENT: Duration = Duration::from_millis(550);
+/// A verdict on a frame this old comes too late to warn of anything: as long as without any verdict.
+const LATE: Duration = Duration::from_millis(500);
 /// How long a full or absent bus is offered the last message.
 const LAST_WORD: Duration = Duration::from_millis(200);
 
@@ -153,11 +155,14 @@ fn all_frames(
     began: Instant,
 ) -> Result<(), SourceError> {
     let live = source.is_live();
+    let mut last = Duration::ZERO;
     while let Some(mut frame) = source.next_frame()? {
         if !live {
             std::thread::sleep(frame.captured_at.saturating_sub(began.elapsed()));
         }
-        frame.captured_at = began.elapsed();
+        // Time never goes back, also when a camera turns out to have been faster than was known.
+        last = last.max(began.elapsed().saturating_sub(source.waited()));
+        frame.captured_at = last;
         newest.put(frame);
     }
     Ok(())
@@ -218,6 +223,21 @@ fn tell(verdicts: &Sender<Told>, verdict: Verdict, newest: &Newest) {
     let _ = verdicts.send(Told { verdict, dropped });
 }
 
+/// A verdict that comes too late is none.
+fn in_time(verdict: Verdict, latency: Duration) -> Verdict {
+    if latency < LATE || verdict.sequence.is_none() {
+        return verdict;
+    }
+    Verdict {
+        state: AlarmState::Unavailable,
+        reason: Reason::Lagging,
+        undefined: Some(Undefined::Late(latency)),
+        score: None,
+        blocks: heapless::Vec::new(),
+        ..verdict
+    }
+}
+
 fn nothing_yet() -> Verdict {
     Verdict {
         at: Duration::ZERO,
@@ -257,18 +277,19 @@ impl Teller<'_> {
         while !shared.stop.load(Ordering::Relaxed)
             && limit.is_none_or(|limit| began.elapsed() < limit)
         {
-            match verdicts.recv_timeout(TICK) {
+            let word = verdicts.recv_timeout(TICK);
+            let now = began.elapsed();
+            self.bus.skip_missed(now);
+            match word {
                 Ok(told) => {
-                    let now = began.elapsed();
                     self.bus.dropped_frames = told.dropped;
                     let latency = now.saturating_sub(told.verdict.at);
-                    self.tell(now, &told.verdict, latency)?;
+                    self.tell(now, &in_time(told.verdict, latency), latency)?;
                     self.last_told = now;
                 }
                 Err(RecvTimeoutError::Timeout) => {}
                 Err(RecvTimeoutError::Disconnected) => break,
             }
-            let now = began.elapsed();
             let unjudged = matches!(
                 self.last.state,
                 AlarmState::Unavailable | AlarmState::SensorFault
@@ -332,5 +353,29 @@ impl Teller<'_> {
             journal.finish()?;
         }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_late_verdict_is_lagging_whatever_it_says() {
+        for state in [AlarmState::Ok, AlarmState::Gap] {
+            let verdict = Verdict {
+                sequence: Some(7),
+                state,
+                score: Some(0.1),
+                ..nothing_yet()
+            };
+            assert_eq!(
+                in_time(verdict.clone(), Duration::from_millis(499)),
+                verdict
+            );
+            let late = in_time(verdict, Duration::from_millis(500));
+            assert_eq!(late.state, AlarmState::Unavailable);
+            assert_eq!((late.reason, late.score), (Reason::Lagging, None));
+        }
     }
 }

@@ -10,7 +10,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use v4l::buffer::{Flags, Type};
+use v4l::buffer::{Flags, Metadata, Type};
 use v4l::device::Handle;
 use v4l::io::traits::{CaptureStream, Stream as _};
 use v4l::prelude::MmapStream;
@@ -27,7 +27,7 @@ const BUFFERS: u32 = 4;
 /// A camera that gives nothing for this long is opened again.
 const STALL: Duration = Duration::from_secs(2);
 /// First and longest pause between two attempts to open a camera again.
-const BACK_OFF: (Duration, Duration) = (Duration::from_millis(100), Duration::from_secs(2));
+const BACK_OFF: (Duration, Duration) = (Duration::from_millis(100), Duration::from_millis(500));
 /// `POLLIN` of `poll(2)`.
 const POLLIN: i16 = 1;
 /// What is asked for, in this order, unless the board says otherwise.
@@ -40,8 +40,10 @@ pub struct CameraSource {
     open: Option<OpenCamera>,
     back_off: Duration,
     sequence: u64,
-    /// The driver's number of the last frame, since the camera was opened.
-    last: Option<u32>,
+    /// Numbers and times of the driver, since the camera was opened.
+    order: Order,
+    /// How long the last frame had waited.
+    waited: Duration,
     counts: Counts,
     began: Instant,
 }
@@ -53,7 +55,7 @@ struct Counts {
     damaged: u64,
     /// Frames that the driver's numbers say are missing.
     lost: u64,
-    /// Frames whose number did not move or went back.
+    /// Frames whose number or time did not move or went back.
     repeated: u64,
     reopened: u64,
 }
@@ -105,7 +107,8 @@ impl CameraSource {
             open: Some(open),
             back_off: BACK_OFF.0,
             sequence: 0,
-            last: None,
+            order: Order::default(),
+            waited: Duration::ZERO,
             counts: Counts::default(),
             began: Instant::now(),
         })
@@ -121,7 +124,7 @@ impl CameraSource {
                     self.counts.reopened += 1;
                     log::warn!("{}: open again; {:?}", self.device, self.counts);
                     self.open = Some(open);
-                    self.last = None;
+                    self.order = Order::default();
                 }
                 Err(why) => log::debug!("{}: {why}", self.device),
             }
@@ -129,18 +132,59 @@ impl CameraSource {
         self.open.as_mut()
     }
 
-    /// How far the frame of this number is from the one before.
-    fn step(&mut self, number: u32) -> u64 {
-        let Some(last) = self.last.replace(number) else {
+    /// How far a frame is from the one before; 0 when it does not come after it.
+    fn step(&mut self, stamp: &Stamp) -> u64 {
+        let step = self.order.step(stamp);
+        if step == 0 {
+            self.counts.repeated += 1;
+        }
+        self.counts.lost += step.saturating_sub(1);
+        step
+    }
+}
+
+/// What the driver says of a frame.
+#[derive(Clone, Copy, Debug)]
+struct Stamp {
+    number: u32,
+    /// On the system's monotonic clock; `None` when the driver does not say.
+    taken_at: Option<Duration>,
+}
+
+/// How frames follow each other.
+#[derive(Debug, Default)]
+struct Order {
+    last: Option<Stamp>,
+    /// Some drivers number nothing: all their frames are 0.
+    numbered: bool,
+    /// Nanoseconds by which the driver's clock was ahead of ours for the frame that came fastest.
+    ahead: Option<i128>,
+}
+
+impl Order {
+    fn step(&mut self, stamp: &Stamp) -> u64 {
+        let Some(last) = self.last.replace(*stamp) else {
             return 1;
         };
-        let step = number.wrapping_sub(last);
-        if step == 0 || step > u32::MAX / 2 {
-            self.counts.repeated += 1;
-            return 1;
+        let step = stamp.number.wrapping_sub(last.number);
+        self.numbered |= step != 0;
+        let back = |(then, now): (Duration, Duration)| now <= then;
+        if last.taken_at.zip(stamp.taken_at).is_some_and(back) || step > u32::MAX / 2 {
+            return 0;
         }
-        self.counts.lost += u64::from(step - 1);
-        step.into()
+        if self.numbered { step.into() } else { 1 }
+    }
+
+    /// How much longer this frame was on its way than the fastest one: the time that it waited for us. What even the fastest
+    /// took cannot be known.
+    fn waited(&mut self, stamp: &Stamp, now: Duration) -> Duration {
+        let Some(taken_at) = stamp.taken_at else {
+            return Duration::ZERO;
+        };
+        let nanos = |time: Duration| i128::try_from(time.as_nanos()).unwrap_or(i128::MAX);
+        let ahead = nanos(taken_at) - nanos(now);
+        let most = *self.ahead.insert(self.ahead.unwrap_or(ahead).max(ahead));
+        Duration::from_nanos(u64::try_from(most - ahead).unwrap_or(u64::MAX))
     }
 }
 
@@ -150,7 +194,7 @@ impl FrameSource for CameraSource {
             let Some(open) = self.opened() else {
                 continue;
             };
-            let (picture, number) = match open.read() {
+            let (picture, stamp) = match open.read() {
                 Ok(Some(read)) => read,
                 Ok(None) => {
                     self.counts.damaged += 1;
@@ -164,10 +208,12 @@ impl FrameSource for CameraSource {
                 }
             };
             self.back_off = BACK_OFF.0;
-            self.sequence += self.step(number);
+            self.sequence += self.step(&stamp);
+            let now = self.began.elapsed();
+            self.waited = self.order.waited(&stamp, now);
             return Ok(Some(Frame {
                 sequence: self.sequence,
-                captured_at: self.began.elapsed(),
+                captured_at: now.saturating_sub(self.waited),
                 picture: picture.map_err(|found| PictureError {
                     path: self.device.clone().into(),
                     found,
@@ -184,12 +230,16 @@ impl FrameSource for CameraSource {
     fn is_live(&self) -> bool {
         true
     }
+
+    fn waited(&self) -> Duration {
+        self.waited
+    }
 }
 
-type Read = (Result<super::Picture, String>, u32);
+type Read = (Result<super::Picture, String>, Stamp);
 
 impl OpenCamera {
-    /// The next picture with the driver's number of it; `None` for a damaged one.
+    /// The next picture with what the driver says of it; `None` for a damaged one.
     fn read(&mut self) -> io::Result<Option<Read>> {
         let stream = self.stream.as_mut().ok_or(io::ErrorKind::NotConnected)?;
         // The first call starts the stream and waits itself. Later a time-out inside it would queue a buffer twice.
@@ -203,8 +253,21 @@ impl OpenCamera {
         }
         let used = usize::try_from(meta.bytesused).unwrap_or(usize::MAX);
         let bytes = &buffer[..used.min(buffer.len())];
-        Ok(Some((self.layout.picture(bytes), meta.sequence)))
+        let stamp = Stamp {
+            number: meta.sequence,
+            taken_at: monotonic(meta),
+        };
+        Ok(Some((self.layout.picture(bytes), stamp)))
     }
+}
+
+/// The driver's time of a frame, if it is of the system's monotonic clock.
+fn monotonic(meta: &Metadata) -> Option<Duration> {
+    let clock = meta.flags & Flags::TIMESTAMP_MASK;
+    let (sec, usec) = (meta.timestamp.sec, meta.timestamp.usec);
+    let time = Duration::from_secs(u64::try_from(sec).ok()?)
+        + Duration::from_micros(u64::try_from(usec).ok()?);
+    (clock == Flags::TIMESTAMP_MONOTONIC).then_some(time)
 }
 
 fn milliseconds(time: Duration) -> i32 {
@@ -278,6 +341,60 @@ fn negotiate(device: &Device, wish: &CameraWish) -> Result<Format, String> {
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
+
+    fn stamp(number: u32, millis: u64) -> Stamp {
+        Stamp {
+            number,
+            taken_at: Some(Duration::from_millis(millis)),
+        }
+    }
+
+    #[test]
+    fn numbers_step_wrap_and_do_not_go_on() {
+        let mut order = Order::default();
+        let steps = [
+            (u32::MAX, 10, 1),
+            (0, 20, 1),
+            (4, 60, 4),
+            (4, 70, 0),
+            (5, 70, 0),
+            (6, 65, 0),
+            (3, 80, 0),
+            (4, 90, 1),
+        ];
+        for (number, millis, step) in steps {
+            assert_eq!(
+                order.step(&stamp(number, millis)),
+                step,
+                "{number} at {millis}"
+            );
+        }
+        let mut unnumbered = Order::default();
+        for millis in [10, 20, 30] {
+            assert_eq!(unnumbered.step(&stamp(0, millis)), 1);
+        }
+        assert_eq!(unnumbered.step(&stamp(0, 30)), 0);
+    }
+
+    #[test]
+    fn a_frame_has_waited_what_it_took_longer_than_the_fastest() {
+        let mut order = Order::default();
+        let mut waited = |taken, given| {
+            let waited = order.waited(&stamp(0, taken), Duration::from_millis(given));
+            waited.as_millis()
+        };
+        assert_eq!(waited(9_000, 40), 0);
+        assert_eq!(waited(9_033, 63), 0);
+        assert_eq!(waited(9_066, 116), 20);
+        let unknown = Stamp {
+            number: 0,
+            taken_at: None,
+        };
+        assert_eq!(
+            Order::default().waited(&unknown, Duration::ZERO),
+            Duration::ZERO
+        );
+    }
 
     #[test]
     fn what_is_no_camera_is_named_with_the_reason() {

@@ -8,7 +8,12 @@ output="v4l2-ctl -d /dev/video1"
 # 1280x720 at 30 frames a second; frames of another size are scaled on their way in and back on their way out.
 timings=index=5
 
-gapwatch() { lib/ld-linux-x86-64.so.2 --library-path lib ./gapwatch "$@"; }
+# The program with the libraries of the host.
+cat >/bin/gapwatch <<'END'
+#!/bin/sh
+exec /tmp/lib/ld-linux-x86-64.so.2 --library-path /tmp/lib /tmp/gapwatch "$@"
+END
+chmod +x /bin/gapwatch
 
 # mark WORD: at most 8 characters, in a frame of their own.
 mark() { cansend vcan1 7F0#"$(printf %s "$1" | od -An -tx1 | tr -d ' \n')"; }
@@ -29,7 +34,7 @@ play() { $output --stream-out-mmap=4 --stream-from=- >/dev/null 2>&1; }
 
 # Plays the clip that `show` names, again and again, and marks every change.
 player() {
-  shown=
+  shown=nominal
   while [ ! -e quiet ]; do
     clip=$(cat showing)
     [ "$clip" = "$shown" ] || mark "$clip"
@@ -40,10 +45,10 @@ player() {
 
 show() { echo "$1" >showing; }
 
-# picture CLIP: shows it for a while.
+# picture CLIP SECONDS: shows it for a while.
 picture() {
   show "$1"
-  sleep 1.8
+  sleep "$2"
   show nominal
   sleep 1.5
 }
@@ -56,12 +61,27 @@ during() {
   sleep 1.5
 }
 over() {
-  "$@"
   mark nominal
+  "$@"
   sleep 1.5
 }
 
 control() { $capture -c "$1"; }
+
+# Either of vivid's two nodes may take the flag.
+damage() {
+  for _ in 1 2 3 4 5 6 7 8; do
+    control inject_v4l2_buf_flag_error=1
+    sleep .05
+  done
+}
+
+# These end the player too.
+break_both() {
+  control "$1"
+  sleep .05
+  player &
+}
 
 unplug() { echo vivid.0 >/sys/bus/platform/drivers/vivid/unbind; }
 plug_in() {
@@ -93,34 +113,38 @@ wait $playing
 # driver's frame numbers wrap 4.3 s after the start.
 control wrap_sequence_number=1
 player &
+mark faults
 RUST_LOG=info gapwatch monitor --board car.toml --journal faults.jsonl >faults.out 2>faults.err &
 monitor=$!
 sleep 4
 mark wrap
-sleep 2
-for clip in black grey frozen covered; do picture $clip; done
-during damaged control inject_v4l2_buf_flag_error=1
+sleep 1
+mark nominal
+sleep 1
+for clip in black grey frozen covered; do picture $clip 1.8; done
+picture paper 3
+during damaged damage
 over true
-during refused control inject_vidioc_qbuf_error=1
-over true
-during fatal control inject_fatal_streaming_error=1
+during fatal break_both inject_fatal_streaming_error=1
 over true
 during lost control percentage_of_dropped_buffers=30
 over control percentage_of_dropped_buffers=0
 during stall control percentage_of_dropped_buffers=100
 over control percentage_of_dropped_buffers=0
-during offline control disconnect=1
+during offline break_both disconnect=1
 over true
 during unplug unplug
 over plug_in
 during busdown $ip link set vcan0 down
 over $ip link set vcan0 up
 during busfull $tc qdisc add dev vcan0 root tbf rate 1kbit burst 32 limit 64
-over $tc qdisc del dev vcan0 root
+over $tc qdisc change dev vcan0 root tbf rate 1mbit burst 3200 limit 6400
 during busgone $ip link del vcan0
 over bus_up vcan0
 during foreign cansend vcan0 5D1#0000000000000000
 over true
+during paused kill -STOP $monitor
+over kill -CONT $monitor
 show night
 sleep 3
 show nominal
@@ -132,9 +156,10 @@ for frame in $(cat clear); do
 done
 mark killed
 kill -KILL $monitor
-sleep 1
+sleep .6
 mark again
 gapwatch monitor --board car.toml --seconds 2 >again.out 2>again.err
+echo $? >again.code
 mark other
 (while sleep .1; do cansend vcan0 5D0#0000000000000000; done) &
 other=$!
@@ -142,5 +167,35 @@ gapwatch monitor --board car.toml --seconds 2 >other.out 2>other.err
 echo $? >other.code
 kill $other
 mark end
+
+# An adapter whose controller has trouble with its bus.
+mkfifo orders
+slcan orders adapter &
+sleep .2
+$ip link set "$(cat adapter)" name can0
+$ip link set can0 type can bitrate 500000
+$ip link set can0 up
+sed 's/vcan0/can0/' car.toml >adapter.toml
+mark adapter
+RUST_LOG=info gapwatch monitor --board adapter.toml >adapter.out 2>adapter.err &
+monitor=$!
+sleep 2
+mark warning
+echo sw100000 >orders
+sleep 1.2
+mark passive
+echo sp130000 >orders
+sleep 1.2
+mark off
+echo sb000256 >orders
+sleep 1
+$ip link set can0 down
+$ip link set can0 up
+mark back
+sleep 1.5
+kill -TERM $monitor
+wait $monitor
+echo $? >adapter.code
+mark done
 touch quiet
 cp ./*.log ./*.jsonl ./*.out ./*.err ./*.code /share/
