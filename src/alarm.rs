@@ -94,6 +94,8 @@ pub enum Reason {
     Covered,
     /// The computer does not keep up: verdicts come too late.
     Lagging,
+    /// The car is parked, so nobody looks.
+    Parked,
     /// The monitor ends.
     Stopped,
 }
@@ -115,6 +117,7 @@ impl Reason {
             Self::Frozen => "frozen",
             Self::Covered => "covered",
             Self::Lagging => "lagging",
+            Self::Parked => "parked",
             Self::Stopped => "stopped",
         }
     }

@@ -9,6 +9,7 @@ use std::time::Duration;
 
 use serde::Deserialize;
 
+use crate::can::speed::SpeedSignal;
 use crate::can::{CanSettings, LARGEST_ID, MessageIds, Sink};
 
 /// Most frames a second that a board may ask for.
@@ -19,8 +20,12 @@ pub const CAMERA_FORMATS: [&str; 5] = ["YUYV", "NV12", "MJPG", "RGB3", "BGR3"];
 const RATE_HZ: f64 = 10.0;
 /// Time of listening, unless the board says otherwise.
 const LISTEN: Duration = Duration::from_secs(2);
-/// Longest time of listening before the first frame is sent.
-const LISTEN_MAX_S: f64 = 60.0;
+/// A car slower than this stands, unless the board says otherwise.
+const PARKED_BELOW_KMH: f64 = 1.0;
+/// And one that stands for this long is parked: at a crossing it does not.
+const PARKED_AFTER: Duration = Duration::from_secs(60);
+/// Longest time that a board may ask for: of listening, and of standing before the car is parked.
+const SECONDS_MAX: f64 = 60.0;
 
 /// A board file that cannot be followed.
 #[derive(Debug, thiserror::Error)]
@@ -122,12 +127,28 @@ struct CameraTable {
 #[serde(deny_unknown_fields)]
 struct CanTable {
     sink: Word,
-    listen_s: Option<Listen>,
+    listen_s: Option<Seconds>,
     status: Option<Ids>,
     health: Option<Ids>,
     clear: Option<Ids>,
     status_period_ms: Option<u16>,
     health_period_ms: Option<u16>,
+    speed: Option<Speed>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Speed {
+    id: CanId,
+    start_bit: u16,
+    length: u16,
+    #[serde(default)]
+    big_endian: bool,
+    factor: f64,
+    #[serde(default)]
+    offset: f64,
+    parked_below_kmh: Option<f64>,
+    parked_after_s: Option<Seconds>,
 }
 
 #[derive(Deserialize)]
@@ -214,17 +235,17 @@ impl TryFrom<f64> for Rate {
 
 #[derive(Clone, Copy, Deserialize)]
 #[serde(try_from = "f64")]
-struct Listen(Duration);
+struct Seconds(Duration);
 
-impl TryFrom<f64> for Listen {
+impl TryFrom<f64> for Seconds {
     type Error = String;
 
     fn try_from(seconds: f64) -> Result<Self, String> {
-        if (0.0..=LISTEN_MAX_S).contains(&seconds) {
+        if (0.0..=SECONDS_MAX).contains(&seconds) {
             Ok(Self(Duration::from_secs_f64(seconds)))
         } else {
             Err(format!(
-                "{seconds} s; wanted seconds from 0 to {LISTEN_MAX_S}"
+                "{seconds} s; wanted seconds from 0 to {SECONDS_MAX}"
             ))
         }
     }
@@ -317,6 +338,16 @@ impl CanTable {
             clear: ids(&self.clear, default.clear),
             status_period: period(self.status_period_ms, default.status_period),
             health_period: period(self.health_period_ms, default.health_period),
+            speed: self.speed.as_ref().map(|speed| SpeedSignal {
+                id: speed.id.0,
+                start_bit: speed.start_bit,
+                length: speed.length,
+                big_endian: speed.big_endian,
+                factor: speed.factor,
+                offset: speed.offset,
+                parked_below_kmh: speed.parked_below_kmh.unwrap_or(PARKED_BELOW_KMH),
+                parked_after: speed.parked_after_s.map_or(PARKED_AFTER, |after| after.0),
+            }),
             ..default
         }
     }
@@ -363,6 +394,16 @@ mod tests {
     }
 
     #[test]
+    fn a_speed_is_read_with_what_a_dbc_file_says_of_it() {
+        let speed = "[can.speed]\nid = 0x1A0\nstart_bit = 23\nlength = 16\nfactor = 0.01\nbig_endian = true\n";
+        let board = read(&format!("{LEAST}{speed}")).unwrap();
+        let speed = board.can.settings.speed.unwrap();
+        assert_eq!((speed.id, speed.start_bit, speed.length), (0x1A0, 23, 16));
+        assert!(speed.big_endian && (speed.parked_below_kmh - 1.0).abs() < 1e-9);
+        assert!(read(LEAST).unwrap().can.settings.speed.is_none());
+    }
+
+    #[test]
     fn what_is_not_understood_is_refused_with_its_line_and_what_would_do() {
         for (line, from, to, said) in [
             (2, "source", "sources", "expected one of `source`"),
@@ -376,6 +417,18 @@ mod tests {
             (4, "sink", "listen_s = -1.0\nsink", "seconds from 0"),
             (3, "sink", "status = { id = 0x5D1 }\nsink", "two messages"),
             (3, "sink", "status_period_ms = 0\nsink", "period of 0 ms"),
+            (
+                3,
+                "sink",
+                "speed = { id = 0x1A0, start_bit = 60, length = 8, factor = 1.0 }\nsink",
+                "8 bits from bit 60",
+            ),
+            (
+                3,
+                "sink",
+                "speed = { id = 0x5D0, start_bit = 0, length = 8, factor = 1.0 }\nsink",
+                "two messages",
+            ),
         ] {
             let error = read(&LEAST.replacen(from, to, 1)).unwrap_err();
             assert!(error.contains(&format!("car.toml:{line}:")), "{error}");

@@ -15,6 +15,7 @@ pub mod log;
 pub mod message;
 pub mod receiver;
 pub mod sender;
+pub mod speed;
 
 use std::io;
 use std::path::PathBuf;
@@ -25,6 +26,7 @@ use embedded_can::Id;
 use thiserror::Error;
 
 use self::log::LogSink;
+use self::speed::{SpeedError, SpeedSignal};
 
 // Generated at build time from `can/gapwatch.dbc`; the style is the generator's.
 #[allow(
@@ -66,7 +68,7 @@ pub struct MessageIds {
 }
 
 /// Identifiers and periods of the messages. The default is what `gapwatch.dbc` says.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct CanSettings {
     /// Of `GapStatus`; 0x5D0 by default.
     pub status: MessageIds,
@@ -80,6 +82,8 @@ pub struct CanSettings {
     pub health_period: Duration,
     /// Shortest time between two `GapStatus` frames; 20 ms by default.
     pub minimum_gap: Duration,
+    /// Where others send the vehicle's speed; `None` by default.
+    pub speed: Option<SpeedSignal>,
 }
 
 impl Default for CanSettings {
@@ -94,6 +98,7 @@ impl Default for CanSettings {
             status_period: Duration::from_millis(status.cycle_ms),
             health_period: Duration::from_millis(health.cycle_ms),
             minimum_gap: Duration::from_millis(status.minimum_gap_ms),
+            speed: None,
         }
     }
 }
@@ -109,7 +114,7 @@ fn ids(id: Id, attributes: &MessageAttributes) -> MessageIds {
 }
 
 /// Settings that no bus can be served with.
-#[derive(Clone, Debug, Error, PartialEq, Eq)]
+#[derive(Clone, Debug, Error, PartialEq)]
 pub enum CanSettingsError {
     /// An identifier needs more than 11 bits.
     #[error("CAN id {0:#X} does not fit into 11 bits (largest is 0x7FF)")]
@@ -117,6 +122,9 @@ pub enum CanSettingsError {
     /// Two messages share an identifier.
     #[error("CAN id {0:#X} is given to two messages")]
     SameId(u16),
+    /// The vehicle's speed cannot be read so.
+    #[error("the speed: {0}")]
+    Speed(#[from] SpeedError),
     /// A period of zero would send without end.
     #[error("a CAN period of 0 ms cannot be kept")]
     NoPeriod,
@@ -135,7 +143,7 @@ impl CanSettings {
     ///
     /// # Errors
     /// The first [`CanSettingsError`] found: identifier above 11 bits, identifier given twice,
-    /// period of zero, minimum gap not shorter than the status period.
+    /// speed that no frame holds, period of zero, minimum gap not shorter than the status period.
     pub fn check(&self) -> Result<(), CanSettingsError> {
         let ids = [self.status.id, self.health.id, self.clear.id];
         for (n, &id) in ids.iter().enumerate() {
@@ -144,6 +152,12 @@ impl CanSettings {
             }
             if ids[..n].contains(&id) {
                 return Err(CanSettingsError::SameId(id));
+            }
+        }
+        if let Some(speed) = &self.speed {
+            speed.check()?;
+            if ids.contains(&speed.id) {
+                return Err(CanSettingsError::SameId(speed.id));
             }
         }
         if self.status_period.is_zero() || self.health_period.is_zero() {
@@ -311,7 +325,8 @@ impl Sink {
             Self::LogFile(path) => Ok(Box::new(LogSink::create(path)?)),
             #[cfg(feature = "can")]
             Self::Socket(interface) => {
-                let heard = [settings.status.id, settings.health.id, settings.clear.id];
+                let mut heard = vec![settings.status.id, settings.health.id, settings.clear.id];
+                heard.extend(settings.speed.as_ref().map(|speed| speed.id));
                 Ok(Box::new(bus::SocketSink::open(interface, &heard)?))
             }
         }

@@ -98,6 +98,7 @@ fn stage(share: &Path) {
         share.join("car.toml"),
         "[camera]\nsource = \"v4l2:/dev/video0\"\nformat = \"YUYV\"\nsize = \"320x160\"\n\
          [can]\nsink = \"socketcan:vcan0\"\nlisten_s = 0.5\n\
+         [can.speed]\nid = 0x1A0\nstart_bit = 8\nlength = 16\nfactor = 0.01\nparked_after_s = 1.0\n\
          [monitor]\nmodel = \"lane.onnx\"\nreference = \"reference.json\"\nstrict = true\nrate_hz = 10\n",
     )
     .unwrap();
@@ -213,7 +214,7 @@ fn logged(share: &Path) -> Vec<Logged> {
     let log = fs::read_to_string(share.join("bus.log")).unwrap();
     log.lines()
         .map(|line| {
-            let mut words = line.split(' ');
+            let mut words = line.split_whitespace();
             let at = words.next().unwrap().trim_matches(['(', ')']);
             let bus = words.next().unwrap();
             let (id, data) = words.next().unwrap().split_once('#').unwrap();
@@ -538,7 +539,7 @@ enum Wanted {
     Silence,
 }
 
-const FAULTS: [Row; 17] = {
+const FAULTS: [Row; 18] = {
     use AlarmState::{SensorFault, Unavailable};
     use Wanted::{Ok, Silence, State};
     const fn row(mark: &'static str, what: &'static str, wanted: Wanted) -> Row {
@@ -585,6 +586,11 @@ const FAULTS: [Row; 17] = {
             "unplug",
             "camera unplugged",
             State(Unavailable, Reason::Stale, 0.7),
+        ),
+        row(
+            "parked",
+            "car parked for 1 s, which it says",
+            State(Unavailable, Reason::Parked, 1.2),
         ),
         row("busdown", "bus down", Silence),
         row("busfull", "queue of the bus full", Ok),
@@ -732,9 +738,62 @@ fn vm_silence_follows_a_kill_and_a_foreign_sender_is_refused_at_the_start() {
         "{said}"
     );
     assert_eq!(fs::read_to_string(share.join("other.code")).unwrap(), "2\n");
-    for code in ["drive.code", "again.code"] {
-        assert_eq!(fs::read_to_string(share.join(code)).unwrap(), "0\n");
+    // The disk was full meanwhile.
+    let said = fs::read_to_string(share.join("again.err")).unwrap();
+    assert!(said.contains("there will be no journal"), "{said}");
+    for code in ["drive.code", "again.code", "adapter.code", "clock.code"] {
+        assert_eq!(
+            fs::read_to_string(share.join(code)).unwrap(),
+            "0\n",
+            "{code}"
+        );
     }
+}
+
+#[test]
+#[ignore = "needs qemu and Debian's kernel: run tests/run"]
+fn vm_the_cycle_goes_on_when_the_clock_jumps_by_years() {
+    let share = machine();
+    let log = logged(&share);
+    let before = between(&log, "done", "clock");
+    let after = between(&log, "clock", "end2");
+    assert!(after.last().unwrap().at - before.last().unwrap().at > 1e8);
+    let all: Vec<Logged> = before.iter().chain(after).cloned().collect();
+    // Counters follow each other; 3 s at ten a second, and one for each change.
+    let all = statuses(&all);
+    assert!(
+        (29..36).contains(&all.len()),
+        "{} status frames in 3 s",
+        all.len()
+    );
+    let after = statuses(after);
+    let (last, judged) = after.split_last().unwrap();
+    assert!(
+        judged.len() >= 8 && judged.iter().all(|(_, s)| s.state == AlarmState::Ok),
+        "{judged:?}"
+    );
+    assert_eq!(last.1.reason, Reason::Stopped);
+}
+
+#[test]
+#[ignore = "needs qemu and Debian's kernel: run tests/run"]
+fn vm_memory_does_not_grow_through_faults() {
+    let share = machine();
+    let log = fs::read_to_string(share.join("memory.log")).unwrap();
+    let kib = |line: &str| {
+        line.split_whitespace()
+            .nth(1)
+            .unwrap()
+            .parse::<u64>()
+            .unwrap()
+    };
+    let [before, after] = [0, 1].map(|n| kib(log.lines().nth(n).unwrap()));
+    assert!(after < before + 1024, "{before} KiB, then {after} KiB");
+    report(
+        &share,
+        "memory",
+        &format!("Memory: {before} KiB after 4 s, {after} KiB after all faults.\n"),
+    );
 }
 
 #[test]

@@ -183,7 +183,12 @@ impl WarningSink for SocketSink {
                     }
                 }
                 Ok(frame) => {
-                    if let (Id::Standard(id), Ok(data)) = (frame.id(), frame.data().try_into()) {
+                    if let Id::Standard(id) = frame.id() {
+                        // A shorter frame ends in zeros.
+                        let mut data = [0; 8];
+                        data.iter_mut()
+                            .zip(frame.data())
+                            .for_each(|(to, from)| *to = *from);
                         let id = id.as_raw();
                         return Some(CanFrame { id, data });
                     }

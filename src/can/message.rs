@@ -268,6 +268,7 @@ fn reason_code(reason: Reason) -> ReasonCode {
         Reason::Frozen => ReasonCode::Frozen,
         Reason::Covered => ReasonCode::Covered,
         Reason::Lagging => ReasonCode::Lagging,
+        Reason::Parked => ReasonCode::Parked,
         Reason::Stopped => ReasonCode::Stopped,
     }
 }
@@ -287,6 +288,7 @@ fn reason_of(code: ReasonCode) -> Option<Reason> {
         ReasonCode::Frozen => Some(Reason::Frozen),
         ReasonCode::Covered => Some(Reason::Covered),
         ReasonCode::Lagging => Some(Reason::Lagging),
+        ReasonCode::Parked => Some(Reason::Parked),
         ReasonCode::Stopped => Some(Reason::Stopped),
         ReasonCode::NotAvailable | ReasonCode::_Other(_) => None,
     }
@@ -354,7 +356,7 @@ mod tests {
         (AlarmState::SensorFault, 4),
         (AlarmState::Unavailable, 5),
     ];
-    const REASONS: [(Reason, u8); 14] = [
+    const REASONS: [(Reason, u8); 15] = [
         (Reason::None, 0),
         (Reason::Starting, 1),
         (Reason::Abrupt, 2),
@@ -367,6 +369,7 @@ mod tests {
         (Reason::Lagging, 9),
         (Reason::Stale, 10),
         (Reason::Stopped, 11),
+        (Reason::Parked, 12),
         (Reason::Undefined, 13),
         (Reason::TooSmall, 14),
     ];
@@ -442,10 +445,8 @@ mod tests {
             let refused = with_byte_2(code).unwrap_err();
             assert_eq!((refused.signal, refused.code), ("State", code));
         }
-        for code in [12, 15] {
-            let refused = with_byte_2(code << 4).unwrap_err();
-            assert_eq!((refused.signal, refused.code), ("Reason", code));
-        }
+        let refused = with_byte_2(15 << 4).unwrap_err();
+        assert_eq!((refused.signal, refused.code), ("Reason", 15));
         let refused = GapHealth::from_bytes(&[0, 0, 0, 255, 0, 0, 0, 0]).unwrap_err();
         assert_eq!((refused.signal, refused.code), ("DroppedFrames", 255));
         let refused = GapHealth::from_bytes(&[0, 0xE0, 0, 0, 0, 0, 0, 0]).unwrap_err();

@@ -1,4 +1,4 @@
-//! What is heard on the bus: requests to clear the stored bit, and other senders on our identifiers.
+//! What is heard on the bus: requests to clear the stored bit, other senders on our identifiers, and the car's speed.
 //!
 //! Owns the check of `GapClear`. Refuses to act: whether a request is followed is the alarm's to say.
 
@@ -17,6 +17,8 @@ pub enum Heard {
     Invalid,
     /// Somebody else sends on one of our identifiers.
     Foreign(u16),
+    /// Whether the car stands; `None` when the sender of its speed does not know.
+    Standing(Option<bool>),
 }
 
 impl fmt::Display for Heard {
@@ -24,6 +26,7 @@ impl fmt::Display for Heard {
         match self {
             Self::Clear => f.write_str("a valid GapClear"),
             Self::Invalid => f.write_str("an invalid GapClear, which is ignored"),
+            Self::Standing(standing) => write!(f, "the car stands: {standing:?}"),
             Self::Foreign(id) => write!(f, "another node sends our CAN id {id:#X}"),
         }
     }
@@ -59,6 +62,15 @@ impl Receiver {
             } else {
                 Heard::Invalid
             });
+        }
+        if let Some(speed) = self
+            .settings
+            .speed
+            .as_ref()
+            .filter(|speed| speed.id == frame.id)
+        {
+            let kmh = speed.kmh(&frame.data);
+            return Some(Heard::Standing(kmh.map(|kmh| kmh < speed.parked_below_kmh)));
         }
         let ours = [self.settings.status.id, self.settings.health.id];
         ours.contains(&frame.id).then_some(Heard::Foreign(frame.id))

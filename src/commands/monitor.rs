@@ -15,6 +15,7 @@ use gapwatch::alarm::{AlarmState, Reason};
 use gapwatch::board::Board;
 use gapwatch::can::Sink;
 use gapwatch::can::receiver::Heard;
+use gapwatch::can::speed::Parking;
 use gapwatch::frame::newest::{Newest, Taken};
 use gapwatch::frame::{FrameSource, SourceError, open_camera};
 use gapwatch::journal::Journal;
@@ -73,6 +74,9 @@ pub fn run(args: &MonitorArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
     let limit = args.seconds.map(|s| Duration::from_secs(s.into()));
     let newest = Arc::new(Newest::default());
     let clear = AtomicBool::new(false);
+    let speed = board.can.settings.speed.as_ref();
+    let parked_after = speed.map_or(Duration::MAX, |speed| speed.parked_after);
+    let parked = AtomicBool::new(false);
     take_frames(source, Arc::clone(&newest), began);
     std::thread::scope(|scope| {
         let (verdicts, told) = channel();
@@ -80,6 +84,7 @@ pub fn run(args: &MonitorArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
             newest: &newest,
             stop: &stop,
             clear: &clear,
+            parked: &parked,
             began,
         };
         let (model, reference, rate_hz) = (&model, &reference, board.monitor.rate_hz);
@@ -89,6 +94,7 @@ pub fn run(args: &MonitorArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
             journal,
             last: nothing_yet(),
             last_told: Duration::ZERO,
+            parking: Parking::new(parked_after),
             complained_at: Duration::ZERO,
             out,
         };
@@ -174,6 +180,7 @@ struct Shared<'a> {
     newest: &'a Newest,
     stop: &'a AtomicBool,
     clear: &'a AtomicBool,
+    parked: &'a AtomicBool,
     began: Instant,
 }
 
@@ -194,6 +201,9 @@ fn judge(
             log::warn!("GapClear is refused while the state is Gap");
         }
         let verdict = match taken {
+            Taken::Ended(how) => return Ok(how?),
+            // Nobody looks, but the newest frame is taken, so that none is old when the car drives off.
+            _ if shared.parked.load(Ordering::Relaxed) => None,
             Taken::Frame(frame) => {
                 if let Some(silence) = monitor.silence(frame.captured_at) {
                     tell(&verdicts, silence, shared.newest);
@@ -201,7 +211,6 @@ fn judge(
                 Some(monitor.step(&frame))
             }
             Taken::Nothing => monitor.silence(shared.began.elapsed()),
-            Taken::Ended(how) => return Ok(how?),
         };
         if let Some(verdict) = verdict {
             let frame = verdict.sequence.is_some();
@@ -259,6 +268,7 @@ struct Teller<'a> {
     journal: Option<Journal>,
     last: Verdict,
     last_told: Duration,
+    parking: Parking,
     complained_at: Duration,
     out: &'a mut dyn Write,
 }
@@ -281,6 +291,8 @@ impl Teller<'_> {
             let now = began.elapsed();
             self.bus.skip_missed(now);
             match word {
+                // Of a frame from before the car was parked.
+                Ok(_) if shared.parked.load(Ordering::Relaxed) => {}
                 Ok(told) => {
                     self.bus.dropped_frames = told.dropped;
                     let latency = now.saturating_sub(told.verdict.at);
@@ -299,12 +311,21 @@ impl Teller<'_> {
                 self.tell(now, &silent, Duration::ZERO)?;
             }
             while let Some(heard) = self.bus.hear() {
-                if heard == Heard::Clear {
-                    shared.clear.store(true, Ordering::Relaxed);
-                } else if now >= self.complained_at + COMPLAINT {
-                    self.complained_at = now;
-                    log::warn!("on the bus: {heard}");
+                match heard {
+                    Heard::Clear => shared.clear.store(true, Ordering::Relaxed),
+                    Heard::Standing(standing) => self.parking.hear(now, standing),
+                    _ if now >= self.complained_at + COMPLAINT => {
+                        self.complained_at = now;
+                        log::warn!("on the bus: {heard}");
+                    }
+                    _ => {}
                 }
+            }
+            let parked = self.parking.is_parked(now);
+            shared.parked.store(parked, Ordering::Relaxed);
+            if parked && self.last.reason != Reason::Parked {
+                let verdict = self.without_frame(now, Reason::Parked, None);
+                self.tell(now, &verdict, Duration::ZERO)?;
             }
             self.bus.tell_health(now);
             self.bus.poll(now)?;

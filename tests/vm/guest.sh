@@ -83,6 +83,20 @@ break_both() {
   player &
 }
 
+# speed HEX: the car's speed ten times a second, steps of 0.01 km/h, low byte first.
+speed() {
+  while :; do
+    cansend vcan0 1A0#00"$1"
+    sleep .1
+  done
+}
+
+drive_off() {
+  kill $sending
+  speed 1027 &
+  sending=$!
+}
+
 unplug() { echo vivid.0 >/sys/bus/platform/drivers/vivid/unbind; }
 plug_in() {
   echo vivid.0 >/sys/bus/platform/drivers/vivid/bind
@@ -99,6 +113,7 @@ bus_up vcan0
 bus_up vcan1
 camera_on
 candump -L any >bus.log 2>/dev/null &
+logging=$!
 
 # A drive.
 cat clips/drive | play &
@@ -117,6 +132,7 @@ mark faults
 RUST_LOG=info gapwatch monitor --board car.toml --journal faults.jsonl >faults.out 2>faults.err &
 monitor=$!
 sleep 4
+grep VmRSS /proc/$monitor/status >memory.log
 mark wrap
 sleep 1
 mark nominal
@@ -143,6 +159,11 @@ during busgone $ip link del vcan0
 over bus_up vcan0
 during foreign cansend vcan0 5D1#0000000000000000
 over true
+speed 0000 &
+sending=$!
+during parked sleep .5
+over drive_off
+kill $sending
 during paused kill -STOP $monitor
 over kill -CONT $monitor
 show night
@@ -154,11 +175,15 @@ for frame in $(cat clear); do
   cansend vcan0 5D8#$frame
   sleep .3
 done
+grep VmRSS /proc/$monitor/status >>memory.log
 mark killed
 kill -KILL $monitor
 sleep .6
+# The disk takes nothing more.
+mkdir full
+mount -t tmpfs -o size=4k full full
 mark again
-gapwatch monitor --board car.toml --seconds 2 >again.out 2>again.err
+gapwatch monitor --board car.toml --seconds 2 --journal full/again.jsonl >again.out 2>again.err
 echo $? >again.code
 mark other
 (while sleep .1; do cansend vcan0 5D0#0000000000000000; done) &
@@ -197,5 +222,17 @@ kill -TERM $monitor
 wait $monitor
 echo $? >adapter.code
 mark done
+# From here on the times of the log are those of another clock.
+gapwatch monitor --board car.toml --seconds 3 >clock.out 2>clock.err &
+monitor=$!
+sleep 2.5
+mark clock
+date -s "2031-01-01 00:00:00" >/dev/null
+wait $monitor
+echo $? >clock.code
+mark end2
+sleep .2
 touch quiet
+kill -INT $logging
+wait $logging
 cp ./*.log ./*.jsonl ./*.out ./*.err ./*.code /share/
