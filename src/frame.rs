@@ -129,15 +129,20 @@ pub trait FrameSource: Send {
     }
 }
 
-/// Opens what a board names as its camera: `v4l2:/dev/videoN`, asked for what is wished, or any other source.
+/// Opens what a board names as its camera: `v4l2:/dev/videoN`, asked for what is wished, of which `rate_hz` frames a second
+/// are given at most; or any other source.
 ///
 /// # Errors
 /// When there is no such camera, or as [`open`].
 #[cfg_attr(not(feature = "camera"), expect(unused_variables))]
-pub fn open_camera(name: &str, wish: &CameraWish) -> Result<Box<dyn FrameSource>, SourceError> {
+pub fn open_camera(
+    name: &str,
+    wish: &CameraWish,
+    rate_hz: f64,
+) -> Result<Box<dyn FrameSource>, SourceError> {
     match name.strip_prefix("v4l2:") {
         #[cfg(feature = "camera")]
-        Some(device) => Ok(Box::new(camera::CameraSource::open(device, wish)?)),
+        Some(device) => Ok(Box::new(camera::CameraSource::open(device, wish, rate_hz)?)),
         #[cfg(not(feature = "camera"))]
         Some(_) => Err(SourceError::Name {
             found: name.to_owned(),

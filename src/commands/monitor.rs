@@ -55,7 +55,11 @@ pub fn run(args: &MonitorArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
     let name = board.monitor.reference.as_deref();
     let name = name.map_or_else(|| "built-in".to_owned(), |path| path.display().to_string());
     reference.check_fits(&name, &model.fingerprint)?;
-    let source = open_camera(&board.camera.source, &board.camera.wish)?;
+    let source = open_camera(
+        &board.camera.source,
+        &board.camera.wish,
+        board.monitor.rate_hz,
+    )?;
     let journal = args
         .journal
         .as_deref()

@@ -46,6 +46,24 @@ pub struct CameraSource {
     waited: Duration,
     counts: Counts,
     began: Instant,
+    pace: Pace,
+}
+
+/// Which frames are looked at: those that nobody will judge are not converted.
+struct Pace {
+    period: Duration,
+    next: Duration,
+}
+
+impl Pace {
+    fn is_due(&mut self, now: Duration) -> bool {
+        // A camera's frames do not come on our grid: a quarter too early is on time.
+        let due = now + self.period / 4 >= self.next;
+        if due {
+            self.next = (self.next + self.period).max(now);
+        }
+        due
+    }
 }
 
 /// What went wrong since the start.
@@ -91,11 +109,11 @@ impl Drop for OpenCamera {
 }
 
 impl CameraSource {
-    /// Opens `device`, asking for `wish`.
+    /// Opens `device`, asking for `wish`, and gives `rate_hz` frames a second at most.
     ///
     /// # Errors
     /// When there is no such camera, or none of the formats that are understood is granted.
-    pub fn open(device: &str, wish: &CameraWish) -> Result<Self, SourceError> {
+    pub fn open(device: &str, wish: &CameraWish, rate_hz: f64) -> Result<Self, SourceError> {
         let open = open(device, wish).map_err(|why| SourceError::Camera {
             device: device.to_owned(),
             why,
@@ -111,25 +129,26 @@ impl CameraSource {
             waited: Duration::ZERO,
             counts: Counts::default(),
             began: Instant::now(),
+            pace: Pace {
+                period: Duration::from_secs_f64(1.0 / rate_hz),
+                next: Duration::ZERO,
+            },
         })
     }
 
-    /// The open camera; opened again if it must be, at most once a back-off.
-    fn opened(&mut self) -> Option<&mut OpenCamera> {
-        if self.open.is_none() {
-            std::thread::sleep(self.back_off);
-            self.back_off = (2 * self.back_off).min(BACK_OFF.1);
-            match open(&self.device, &self.wish) {
-                Ok(open) => {
-                    self.counts.reopened += 1;
-                    log::warn!("{}: open again; {:?}", self.device, self.counts);
-                    self.open = Some(open);
-                    self.order = Order::default();
-                }
-                Err(why) => log::debug!("{}: {why}", self.device),
+    /// Tries to open the camera again, after a back-off.
+    fn open_again(&mut self) {
+        std::thread::sleep(self.back_off);
+        self.back_off = (2 * self.back_off).min(BACK_OFF.1);
+        match open(&self.device, &self.wish) {
+            Ok(open) => {
+                self.counts.reopened += 1;
+                log::warn!("{}: open again; {:?}", self.device, self.counts);
+                self.open = Some(open);
+                self.order = Order::default();
             }
+            Err(why) => log::debug!("{}: {why}", self.device),
         }
-        self.open.as_mut()
     }
 
     /// How far a frame is from the one before; 0 when it does not come after it.
@@ -191,10 +210,11 @@ impl Order {
 impl FrameSource for CameraSource {
     fn next_frame(&mut self) -> Result<Option<Frame>, SourceError> {
         loop {
-            let Some(open) = self.opened() else {
+            let Some(open) = self.open.as_mut() else {
+                self.open_again();
                 continue;
             };
-            let (picture, stamp) = match open.read() {
+            let (picture, stamp) = match open.read(|| self.pace.is_due(self.began.elapsed())) {
                 Ok(Some(read)) => read,
                 Ok(None) => {
                     self.counts.damaged += 1;
@@ -211,6 +231,9 @@ impl FrameSource for CameraSource {
             self.sequence += self.step(&stamp);
             let now = self.began.elapsed();
             self.waited = self.order.waited(&stamp, now);
+            let Some(picture) = picture else {
+                continue;
+            };
             return Ok(Some(Frame {
                 sequence: self.sequence,
                 captured_at: now.saturating_sub(self.waited),
@@ -236,11 +259,12 @@ impl FrameSource for CameraSource {
     }
 }
 
-type Read = (Result<super::Picture, String>, Stamp);
+/// A picture, if it is wanted, or what was wrong with it; and what the driver says of it.
+type Read = (Option<Result<super::Picture, String>>, Stamp);
 
 impl OpenCamera {
-    /// The next picture with what the driver says of it; `None` for a damaged one.
-    fn read(&mut self) -> io::Result<Option<Read>> {
+    /// The next picture; `None` for a damaged one.
+    fn read(&mut self, is_wanted: impl FnOnce() -> bool) -> io::Result<Option<Read>> {
         let stream = self.stream.as_mut().ok_or(io::ErrorKind::NotConnected)?;
         // The first call starts the stream and waits itself. Later a time-out inside it would queue a buffer twice.
         if self.started && self.handle.poll(POLLIN, milliseconds(STALL))? == 0 {
@@ -257,7 +281,8 @@ impl OpenCamera {
             number: meta.sequence,
             taken_at: monotonic(meta),
         };
-        Ok(Some((self.layout.picture(bytes), stamp)))
+        let picture = is_wanted().then(|| self.layout.picture(bytes));
+        Ok(Some((picture, stamp)))
     }
 }
 
@@ -397,9 +422,31 @@ mod tests {
     }
 
     #[test]
+    fn frames_are_looked_at_at_the_wanted_rate_whatever_the_cameras_is() {
+        for (fps, rate, frames) in [
+            (30.0, 10.0, 101),
+            (24.0, 10.0, 100),
+            (30.0, 30.0, 301),
+            (9.0, 10.0, 91),
+        ] {
+            let mut pace = Pace {
+                period: Duration::from_secs_f64(1.0 / rate),
+                next: Duration::ZERO,
+            };
+            let times = (0..).map(|n| Duration::from_secs_f64(f64::from(n) / fps));
+            let ten_seconds = times.take_while(|time| *time <= Duration::from_millis(10_001));
+            let due: Vec<Duration> = ten_seconds.filter(|time| pace.is_due(*time)).collect();
+            let found = due.len().abs_diff(frames);
+            assert!(found <= 1, "{} of {fps} frames a second", due.len());
+            let longest = due.windows(2).map(|pair| pair[1] - pair[0]).max();
+            assert!(longest.is_some_and(|pause| pause.as_secs_f64() < 1.3 / rate.min(fps)));
+        }
+    }
+
+    #[test]
     fn what_is_no_camera_is_named_with_the_reason() {
         for device in ["/dev/video-of-nobody", "/dev/null"] {
-            let error = CameraSource::open(device, &CameraWish::default());
+            let error = CameraSource::open(device, &CameraWish::default(), 10.0);
             let said = error.err().unwrap().to_string();
             assert!(said.starts_with(device), "{said}");
         }
