@@ -37,6 +37,7 @@ pub struct CameraHealth {
     last: Vec<u8>,
     /// When the last picture was first seen.
     since: Duration,
+    cells: Vec<Cell>,
     blocks: Vec<Block>,
     /// Number and time of the last frame.
     before: Option<(u64, Duration)>,
@@ -115,9 +116,10 @@ impl CameraHealth {
             return;
         }
         self.blocks.resize(BLOCKS.0 * BLOCKS.1, Block::default());
-        let mut cells = vec![Cell::default(); across * down];
+        self.cells.clear();
+        self.cells.resize(across * down, Cell::default());
         for (y, row) in picture.rgb.chunks_exact(3 * width).enumerate() {
-            let cells = &mut cells[y * down / height * across..][..across];
+            let cells = &mut self.cells[y * down / height * across..][..across];
             for (column, cell) in cells.iter_mut().enumerate() {
                 let (from, to) = (column * width / across, (column + 1) * width / across);
                 for &value in &row[3 * from..3 * to] {
@@ -131,7 +133,7 @@ impl CameraHealth {
             let (left, top) = (n % BLOCKS.0 * CELLS, n / BLOCKS.0 * CELLS);
             let mut brightest = 0;
             for (at, mean) in block.cells.iter_mut().enumerate() {
-                let cell = &cells[(top + at / CELLS) * across + left + at % CELLS];
+                let cell = &self.cells[(top + at / CELLS) * across + left + at % CELLS];
                 *mean = u8::try_from(cell.sum / cell.values.max(1)).unwrap_or(u8::MAX);
                 brightest = brightest.max(cell.brightest);
             }
@@ -148,7 +150,7 @@ fn is_uniform(picture: &Picture) -> bool {
 }
 
 /// What is added up over a part of a block.
-#[derive(Clone, Copy, Default)]
+#[derive(Clone, Copy, Debug, Default)]
 struct Cell {
     sum: u64,
     values: u64,
@@ -174,7 +176,7 @@ impl Block {
 
 #[cfg(test)]
 mod tests {
-    #![allow(clippy::unwrap_used)]
+    #![allow(clippy::unwrap_used, clippy::cast_possible_truncation)]
     use super::*;
     use crate::frame::open;
 

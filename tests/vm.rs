@@ -492,8 +492,8 @@ fn vm_a_verdict_is_on_the_bus_soon_after_its_frame() {
     }
     let latencies = percentiles(seen.iter().skip(1).map(|entry| entry.latency_ms).collect());
     let reaction = percentiles(told);
-    assert!(reaction[2] < 80.0, "frame to bus, ms: {reaction:?}");
-    assert!(latencies[2] < 80.0, "frame to verdict, ms: {latencies:?}");
+    assert!(reaction[2] < 50.0, "frame to bus, ms: {reaction:?}");
+    assert!(latencies[2] < 50.0, "frame to verdict, ms: {latencies:?}");
     let cyclic: Vec<f64> = bus
         .windows(2)
         .map(|pair| (pair[1].0 - pair[0].0) * 1e3)
@@ -653,10 +653,7 @@ fn vm_faults_are_called_by_name_and_never_ok_or_gap() {
             }
         }
         let bad = |(_, status): &&(f64, GapStatus)| status.state != AlarmState::Ok;
-        let last_bad = within(end, next)
-            .filter(bad)
-            .last()
-            .map_or(end, |(at, _)| *at);
+        let last_bad = within(end, next).rfind(bad).map_or(end, |(at, _)| *at);
         let again = within(last_bad, next).find(|(_, status)| status.state == AlarmState::Ok);
         if again.is_none() {
             complain("no Ok after it was over".to_owned());
@@ -767,12 +764,13 @@ fn vm_the_cycle_goes_on_when_the_clock_jumps_by_years() {
         all.len()
     );
     let after = statuses(after);
-    let (last, judged) = after.split_last().unwrap();
+    let stopped = after.iter().position(|(_, s)| s.reason == Reason::Stopped);
+    let (judged, end) = after.split_at(stopped.unwrap());
+    assert!(judged.len() >= 5 && end.len() <= 3, "{after:?}");
     assert!(
-        judged.len() >= 8 && judged.iter().all(|(_, s)| s.state == AlarmState::Ok),
+        judged.iter().all(|(_, s)| s.state == AlarmState::Ok),
         "{judged:?}"
     );
-    assert_eq!(last.1.reason, Reason::Stopped);
 }
 
 #[test]

@@ -77,6 +77,12 @@ pub fn run(args: &MonitorArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
     let began = Instant::now();
     let limit = args.seconds.map(|s| Duration::from_secs(s.into()));
     let newest = Arc::new(Newest::default());
+    // A camera gives no more frames than are asked for, and each is judged as soon as it is there.
+    let period = if source.is_live() {
+        Duration::ZERO
+    } else {
+        Duration::from_secs_f64(1.0 / board.monitor.rate_hz)
+    };
     let clear = AtomicBool::new(false);
     let speed = board.can.settings.speed.as_ref();
     let parked_after = speed.map_or(Duration::MAX, |speed| speed.parked_after);
@@ -91,8 +97,8 @@ pub fn run(args: &MonitorArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
             parked: &parked,
             began,
         };
-        let (model, reference, rate_hz) = (&model, &reference, board.monitor.rate_hz);
-        let judge = scope.spawn(move || judge(shared, model, reference, rate_hz, verdicts));
+        let (model, reference) = (&model, &reference);
+        let judge = scope.spawn(move || judge(shared, model, reference, period, verdicts));
         let mut teller = Teller {
             bus,
             journal,
@@ -188,16 +194,15 @@ struct Shared<'a> {
     began: Instant,
 }
 
-/// Judges the newest frame, again and again, at the rate that the board asks for.
+/// Judges the newest frame, again and again, and rests for `period` from one to the next.
 fn judge(
     shared: Shared<'_>,
     model: &Model,
     reference: &Reference,
-    rate_hz: f64,
+    period: Duration,
     verdicts: Sender<Told>,
 ) -> anyhow::Result<()> {
     let mut monitor = Monitor::new(&model.encoder, reference)?;
-    let period = Duration::from_secs_f64(1.0 / rate_hz);
     let mut next = Duration::ZERO;
     while !shared.stop.load(Ordering::Relaxed) {
         let taken = shared.newest.take(PATIENCE);

@@ -60,7 +60,7 @@ impl Pace {
         // A camera's frames do not come on our grid: a quarter too early is on time.
         let due = now + self.period / 4 >= self.next;
         if due {
-            self.next = (self.next + self.period).max(now);
+            self.next = (self.next + self.period).max(now + self.period * 3 / 4);
         }
         due
     }
