@@ -568,7 +568,7 @@ fn references_that_are_broken_are_refused_by_name() {
         (
             "whitening.json",
             changed(|r| {
-                let norm = &mut r["components"][0]["taps"][0]["nominal"]["channels"];
+                let norm = &mut r["components"][0]["taps"][0]["nominal"]["energies"];
                 norm["whitening"] = serde_json::json!([1, 2]);
             }),
             "2 whitening weights",
