@@ -685,7 +685,7 @@ mod tests {
                 "version 1",
             ),
             (
-                "{\"format\": \"gapwatch-reference\", \"version\": 2}",
+                "{\"format\": \"gapwatch-reference\", \"version\": 3}",
                 "missing field",
             ),
         ] {
