@@ -15,7 +15,7 @@ const FACTOR_STEP: f64 = 1.02;
 const FACTORS: i32 = 350;
 /// With at least this many wanted entries on the drives at hand they are counted; with fewer the tail is modelled.
 const COUNTED_MIN: f64 = 10.0;
-/// Share of drives, and fewest, that a tail is modelled from.
+/// Entries that a tail is modelled from, as a share of the drives, and fewest.
 const TAIL_SHARE: f64 = 0.25;
 const TAIL_MIN: usize = 5;
 /// Without enough drives for a tail: margin on the factor at which none of them enters `Gap`.
@@ -90,12 +90,6 @@ impl DriveScores {
             })
             .sum()
     }
-
-    /// The smallest factor tried from which on the drive never enters `Gap`.
-    fn quiet_factor(&self) -> f64 {
-        let loud = (0..FACTORS).rev().find(|&i| self.entries(factor(i)) > 0);
-        factor(loud.map_or(0, |i| i + 1))
-    }
 }
 
 fn factor(index: i32) -> f64 {
@@ -161,34 +155,52 @@ pub(super) fn calibrated(
 /// The smallest factor from which on no more than `wanted` entries are counted.
 #[allow(clippy::cast_precision_loss)]
 fn counted(drives: &[&DriveScores], wanted: f64) -> f64 {
-    let too_loud = (0..FACTORS).rev().find(|&i| {
-        let entries: u64 = drives.iter().map(|drive| drive.entries(factor(i))).sum();
-        entries as f64 > wanted
-    });
+    let too_loud = (0..FACTORS)
+        .rev()
+        .find(|&i| entries(drives, factor(i)) as f64 > wanted);
     factor(too_loud.map_or(0, |i| i + 1))
 }
 
-/// The factor that `wanted` of the drives exceed, from an exponential tail of their quiet factors (peaks over threshold,
-/// Pickands 1975).
+fn entries(drives: &[&DriveScores], factor: f64) -> u64 {
+    drives.iter().map(|drive| drive.entries(factor)).sum()
+}
+
+/// The factors up to which entries last, largest first, at most `most` of them: at the k-th one, k entries are left.
+fn last_factors(drives: &[&DriveScores], most: usize) -> Vec<f64> {
+    let mut last = Vec::new();
+    for index in (0..FACTORS).rev() {
+        let left = usize::try_from(entries(drives, factor(index))).unwrap_or(usize::MAX);
+        last.resize(left.min(most).max(last.len()), factor(index));
+        if last.len() == most {
+            break;
+        }
+    }
+    last
+}
+
+/// The factor at which `wanted` entries are left, from an exponential tail of the factors up to which the loudest entries
+/// last (peaks over threshold, Pickands 1975). Entries and not drives: a road that is near the threshold enters often.
 #[allow(
     clippy::cast_precision_loss,
     clippy::cast_possible_truncation,
     clippy::cast_sign_loss
 )]
 fn modelled(drives: &[&DriveScores], wanted: f64) -> (f64, &'static str) {
-    let mut quiet: Vec<f64> = drives.iter().map(|drive| drive.quiet_factor()).collect();
-    quiet.sort_by(|a, b| b.total_cmp(a));
-    let tail = ((TAIL_SHARE * quiet.len() as f64) as usize).max(TAIL_MIN);
-    let Some(&from) = quiet.get(tail) else {
-        let worst = quiet.first().copied().unwrap_or(1.0);
+    let tail = ((TAIL_SHARE * drives.len() as f64) as usize).max(TAIL_MIN);
+    let last = last_factors(drives, tail + 1);
+    let Some(&from) = last.get(tail).filter(|_| drives.len() > tail) else {
+        let worst = last.first().copied().unwrap_or(1.0);
         return (
             FEW_DRIVES_MARGIN * worst,
             "too few drives for a rate: the worst of them and a margin",
         );
     };
-    let mean_excess = quiet[..tail].iter().map(|q| q - from).sum::<f64>() / tail as f64;
+    let mean_excess = last[..tail].iter().map(|q| q - from).sum::<f64>() / tail as f64;
     let factor = from + mean_excess * (tail as f64 / wanted).ln().max(0.0);
-    (factor, "exponential tail of the drives' quiet factors")
+    (
+        factor,
+        "exponential tail of the factors up to which entries last",
+    )
 }
 
 fn nominal(drives: &[&DriveScores], factor: f64) -> NominalDrives {
@@ -282,9 +294,12 @@ mod tests {
         let drive = drive(2.0);
         assert_eq!((drive.entries(1.0), drive.entries(3.0)), (1, 0));
         assert!((drive.hours() - 60.0 / 3_600.0).abs() < 1e-12);
-        // Quiet from the first factor at which 2.0 is no longer an alarm.
-        let quiet = drive.quiet_factor();
-        assert!((1.9..=2.1).contains(&quiet), "{quiet}");
+        // Its one entry lasts up to the factor at which 2.0 is no longer an alarm.
+        let last = last_factors(&[&drive], 9);
+        assert!(
+            last.len() == 1 && (1.9..=2.0).contains(&last[0]),
+            "{last:?}"
+        );
     }
 
     #[test]
