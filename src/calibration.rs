@@ -25,7 +25,7 @@ use crate::undefined::Undefined;
 
 mod false_alarms;
 
-pub use false_alarms::{DEMONSTRATED, DriveScores, poisson_interval};
+pub use false_alarms::{DEMONSTRATED, DriveScores, is_judging, poisson_interval};
 
 /// Softmax temperature of the attention histogram, share of the median peak energy (design study: AUROC 0.97 of
 /// telling other sets from unseen scenes, against 0.54 at a fixed T of 10).
@@ -1020,7 +1020,7 @@ fn quantile(rising: &[f64], share: f64) -> Option<f64> {
 }
 
 /// The middle value; the mean of the two middle ones for an even count.
-pub(crate) fn median(mut values: Vec<f64>) -> Option<f64> {
+pub fn median(mut values: Vec<f64>) -> Option<f64> {
     values.sort_by(f64::total_cmp);
     let upper = *values.get(values.len() / 2)?;
     let lower = values[(values.len() - 1) / 2];

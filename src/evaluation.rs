@@ -1,5 +1,5 @@
-//! How good the monitor is on drives that nothing was tuned on (`domain_detection`, `false_alarms`), and here how good a
-//! lane model is, and where it looks, on scenes that no training has seen: over looks of the world and over conditions of
+//! How good the monitor is on drives that nothing was tuned on (`domain_detection`, `false_alarms`, `lane_failure`) and on
+//! image sets of other roads (`field_sets`, `paper_table`), and here how good a lane model is, and where it looks, on scenes that no training has seen: over looks of the world and over conditions of
 //! growing severity.
 //!
 //! Intervals are percentiles over resampled scenes, since the pixels of one scene depend on each other.
@@ -17,6 +17,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use crate::attention::{EnergyMap, Upsampler};
+use crate::calibration::median;
 use crate::encoder::{Encoder, EncoderError};
 use crate::energies::EnergyStage;
 use crate::frame::Picture;
@@ -252,20 +253,17 @@ fn summary(spec: &ModelSpec, setting: &Setting, answers: &[&Answer]) -> LaneIou 
                     .collect();
                 LaneAttention {
                     tap: tap.clone(),
-                    peak_energy: median(of.iter().map(|a| a.peak_energy)),
-                    on_lanes: median(of.iter().filter_map(|a| a.on_lanes)),
-                    lift: median(of.iter().filter_map(|a| Some(a.on_lanes? / a.area))),
+                    peak_energy: median(of.iter().map(|a| a.peak_energy).collect()),
+                    on_lanes: median(of.iter().filter_map(|a| a.on_lanes).collect()),
+                    lift: median(
+                        of.iter()
+                            .filter_map(|a| Some(a.on_lanes? / a.area))
+                            .collect(),
+                    ),
                 }
             })
             .collect(),
     }
-}
-
-/// The upper median.
-fn median(values: impl Iterator<Item = f64>) -> Option<f64> {
-    let mut values: Vec<f64> = values.collect();
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied()
 }
 
 #[cfg(test)]

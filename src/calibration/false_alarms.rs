@@ -96,6 +96,11 @@ fn factor(index: i32) -> f64 {
     FACTOR_MIN * FACTOR_STEP.powi(index)
 }
 
+/// Whether the held-out drive of a number judges the rate that others set.
+pub fn is_judging(drive: usize) -> bool {
+    drive % JUDGE_EVERY == JUDGE_EVERY - 1
+}
+
 /// The factor for a wanted rate, and the rate that it keeps on other drives: of every four drives three set it and one
 /// judges.
 /// `optimistic`: the drives have also scaled the gaps, so all of them set the factor and none is left to judge it.
@@ -107,7 +112,7 @@ pub(super) fn calibrated(
 ) -> FalseAlarms {
     let (mut choose, mut judge) = (Vec::new(), Vec::new());
     for (index, drive) in drives.iter().enumerate() {
-        if optimistic || index % JUDGE_EVERY != JUDGE_EVERY - 1 {
+        if optimistic || !is_judging(index) {
             choose.push(drive)
         } else {
             judge.push(drive)
@@ -165,7 +170,7 @@ fn entries(drives: &[&DriveScores], factor: f64) -> u64 {
     drives.iter().map(|drive| drive.entries(factor)).sum()
 }
 
-/// The factors up to which entries last, largest first, at most `most` of them: at the k-th one, k entries are left.
+/// The factors up to which entries last, largest first, at most `most` of them: at the k-th one, at least k entries are left.
 fn last_factors(drives: &[&DriveScores], most: usize) -> Vec<f64> {
     let mut last = Vec::new();
     for index in (0..FACTORS).rev() {
@@ -192,7 +197,7 @@ fn modelled(drives: &[&DriveScores], wanted: f64) -> (f64, &'static str) {
         let worst = last.first().copied().unwrap_or(1.0);
         return (
             FEW_DRIVES_MARGIN * worst,
-            "too few drives for a rate: the worst of them and a margin",
+            "too few drives or entries for a rate: the loudest and a margin",
         );
     };
     let mean_excess = last[..tail].iter().map(|q| q - from).sum::<f64>() / tail as f64;

@@ -184,8 +184,8 @@ impl WarningSink for SocketSink {
                 }
                 Ok(frame) => {
                     if let Id::Standard(id) = frame.id() {
-                        // A shorter frame ends in zeros.
-                        let mut data = [0; 8];
+                        // A shorter frame ends in ones: what lies beyond its end is not known, and never a speed of 0.
+                        let mut data = [0xFF; 8];
                         data.iter_mut()
                             .zip(frame.data())
                             .for_each(|(to, from)| *to = *from);

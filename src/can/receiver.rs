@@ -70,7 +70,9 @@ impl Receiver {
             .filter(|speed| speed.id == frame.id)
         {
             let kmh = speed.kmh(&frame.data);
-            return Some(Heard::Standing(kmh.map(|kmh| kmh < speed.parked_below_kmh)));
+            return Some(Heard::Standing(
+                kmh.map(|kmh| kmh.abs() < speed.parked_below_kmh),
+            ));
         }
         let ours = [self.settings.status.id, self.settings.health.id];
         ours.contains(&frame.id).then_some(Heard::Foreign(frame.id))

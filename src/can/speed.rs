@@ -12,6 +12,9 @@ use super::LARGEST_ID;
 /// A speed older than this says nothing: control units send it several times as often.
 const FRESH: Duration = Duration::from_secs(1);
 
+/// A car that is faster is not parked, whatever a board says, kilometres an hour.
+const PARKED_BELOW_MAX_KMH: f64 = 10.0;
+
 /// Where the speed lies in which frame.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SpeedSignal {
@@ -52,6 +55,9 @@ pub enum SpeedError {
         /// At 0.
         offset: f64,
     },
+    /// No speed is slower than this, or every one.
+    #[error("parked below {0} km/h; wanted more than 0 and at most {PARKED_BELOW_MAX_KMH}")]
+    Parked(f64),
     /// The identifier is too large.
     #[error("CAN id {0:#X}; wanted 11 bits, at most {LARGEST_ID:#X}")]
     Id(u16),
@@ -75,6 +81,10 @@ impl SpeedSignal {
         let (factor, offset) = (self.factor, self.offset);
         if !(factor.is_finite() && offset.is_finite() && factor > 0.0) {
             return Err(SpeedError::Scale { factor, offset });
+        }
+        let below = self.parked_below_kmh;
+        if !(below > 0.0 && below <= PARKED_BELOW_MAX_KMH) {
+            return Err(SpeedError::Parked(below));
         }
         Ok(())
     }
@@ -182,6 +192,20 @@ mod tests {
             5.75
         ));
         assert_eq!(signal(16, 16, false).kmh(&[0xFF; 8]), None);
+    }
+
+    #[test]
+    fn a_limit_that_no_parked_car_has_is_refused() {
+        for below in [0.0, -1.0, 10.5, f64::INFINITY, f64::NAN] {
+            let signal = SpeedSignal {
+                parked_below_kmh: below,
+                ..signal(16, 16, false)
+            };
+            assert!(
+                matches!(signal.check(), Err(SpeedError::Parked(_))),
+                "{below}"
+            );
+        }
     }
 
     #[test]

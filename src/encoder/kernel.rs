@@ -337,12 +337,13 @@ unsafe fn tile<V: Vector, const P: usize, const STEP: usize>(
     // SAFETY: as the caller's: `first + p` is a pixel of the row.
     unsafe {
         let mut sums = [V::load(row.bias.as_ptr()); P];
-        let origin = row.input.as_ptr().add(first * step);
+        // A row without runs may lie outside: its place is named, never read.
+        let origin = row.input.as_ptr().wrapping_add(first * step);
         for run in row.runs {
             if first >= run.to || first + P <= run.from {
                 continue;
             }
-            let mut input = origin.add(run.input);
+            let mut input = origin.wrapping_add(run.input);
             let mut weights = row.weights.as_ptr().add(run.weights);
             for _ in 0..run.len {
                 let weight = V::load(weights);

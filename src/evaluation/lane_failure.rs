@@ -13,7 +13,7 @@ use super::resampling::{ROUNDS, SplitMix64, binomial_interval, percentile_interv
 use crate::alarm::AlarmState;
 use crate::calibration::{
     Calibrated, CalibrationError, Domain, DriveScores, LabelledMeans, Wanted, calibrate,
-    drive_scores, poisson_interval,
+    drive_scores, is_judging, poisson_interval,
 };
 use crate::encoder::{Encoder, EncoderError};
 use crate::energies::BlockMeans;
@@ -131,7 +131,8 @@ pub struct LaneFailure {
     pub lead_median_s: Option<f64>,
     /// Drives with a condition that entered `Gap`.
     pub alarmed: u64,
-    /// Share of them that had a failure which was found.
+    /// `found` as a share of them. Where a warning comes before the condition has begun to grow, as of a tunnel in sight, the
+    /// drive counts as found alone.
     pub precision: Option<f64>,
     /// Drives that kept 0.9 of their lane IoU.
     pub benign: u64,
@@ -147,7 +148,7 @@ pub struct LaneFailure {
     pub severe_found: u64,
     /// 95 % interval of their share (Wilson).
     pub severe_interval: (f64, f64),
-    /// Entries into `Gap` on the nominal drives that judge.
+    /// Entries into `Gap` on the nominal drives that judge; of a forecast a kind, those of the loudest.
     pub false_alarms: u64,
     /// Their hours.
     pub nominal_hours: f64,
@@ -392,7 +393,7 @@ impl Looked {
             _ => vec![(None, judge(None)?)],
         };
         let metric = method.metric();
-        // One judge a kind; nominal drives are judged by each of them, and the mean counts.
+        // One judge a kind; nominal drives are judged by each of them, and the loudest counts.
         let mut drives: Vec<(&Judged, DriveScores, usize)> = Vec::new();
         for (index, (kind, judge)) in judges.iter().enumerate() {
             for judged in &self.judged {
@@ -406,7 +407,11 @@ impl Looked {
         let judging: Vec<Vec<DriveScores>> = judges
             .iter()
             .map(|(_, judge)| {
-                let judging = held_out.iter().skip(3).step_by(4);
+                let judging = held_out
+                    .iter()
+                    .enumerate()
+                    .filter(|(index, _)| is_judging(*index))
+                    .map(|(_, drive)| drive);
                 judging
                     .map(|drive| drive_scores(drive, metric, WINDOW_S, &judge.components))
                     .collect()
@@ -618,7 +623,7 @@ impl LaneFailure {
         self.benign_interval = binomial_interval(self.benign_alarmed, self.benign);
     }
 
-    /// Entries and hours by judge: the worst of several counts.
+    /// Entries and hours by judge: the loudest of several counts.
     #[allow(clippy::cast_precision_loss)]
     fn count_nominal(&mut self, by_judge: Vec<(u64, f64)>) {
         let worst = by_judge.into_iter().max_by_key(|&(entries, _)| entries);

@@ -176,9 +176,15 @@ struct Order {
     last: Option<Stamp>,
     /// Some drivers number nothing: all their frames are 0.
     numbered: bool,
-    /// Nanoseconds by which the driver's clock was ahead of ours for the frame that came fastest.
-    ahead: Option<i128>,
+    /// Nanoseconds by which the driver's clock was ahead of ours for the frame that came fastest, in this span and the one
+    /// before: one wrong stamp is forgotten within two spans.
+    ahead: [Option<i128>; 2],
+    /// When this span began.
+    since: Duration,
 }
+
+/// Length of a span over which the fastest frame is looked for.
+const FASTEST_WITHIN: Duration = Duration::from_secs(5);
 
 impl Order {
     fn step(&mut self, stamp: &Stamp) -> u64 {
@@ -202,7 +208,12 @@ impl Order {
         };
         let nanos = |time: Duration| i128::try_from(time.as_nanos()).unwrap_or(i128::MAX);
         let ahead = nanos(taken_at) - nanos(now);
-        let most = *self.ahead.insert(self.ahead.unwrap_or(ahead).max(ahead));
+        if now.saturating_sub(self.since) >= FASTEST_WITHIN {
+            self.ahead = [None, self.ahead[0]];
+            self.since = now;
+        }
+        let own = *self.ahead[0].insert(self.ahead[0].unwrap_or(ahead).max(ahead));
+        let most = own.max(self.ahead[1].unwrap_or(own));
         Duration::from_nanos(u64::try_from(most - ahead).unwrap_or(u64::MAX))
     }
 }
@@ -411,6 +422,11 @@ mod tests {
         assert_eq!(waited(9_000, 40), 0);
         assert_eq!(waited(9_033, 63), 0);
         assert_eq!(waited(9_066, 116), 20);
+        // A stamp 2 s in the future makes the others look late, but not for ever.
+        assert_eq!(waited(11_099, 139), 0);
+        assert_eq!(waited(9_166, 206), 2_000);
+        assert_eq!(waited(14_260, 5_300), 2_000);
+        assert_eq!(waited(19_360, 10_400), 0);
         let unknown = Stamp {
             number: 0,
             taken_at: None,

@@ -18,7 +18,7 @@ pub const ABOUT: &str = "A failure is a second whose lane IoU is below half of t
     `Gap` is entered from 5 s before to 1 s after its onset. Drives of the plain look on which nothing was tuned, under every kind \
     of condition at severities 1 to 5, growing for 2 s, there for 8 s, fading for 2 s. AUROC and Spearman are over the seconds \
     under a condition, intervals from resampling roads. A drive is benign when it keeps 0.9 of its lane IoU. Every method has a \
-    reference and thresholds of its own from the same nominal drives; false alarms are counted on other nominal drives. \
+    reference and thresholds of its own from the same nominal drives; false alarms are counted on other nominal drives, of several forecasts those of the loudest. \
     `lane-risk` is fitted on drives under the same kinds of condition, `lane-risk, fitted on other kinds` never on the kind that is judged.";
 
 /// The model that is judged.
