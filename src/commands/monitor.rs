@@ -84,6 +84,7 @@ pub fn run(args: &MonitorArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
         Duration::from_secs_f64(1.0 / board.monitor.rate_hz)
     };
     let clear = AtomicBool::new(false);
+    let cleared = AtomicBool::new(false);
     let speed = board.can.settings.speed.as_ref();
     let parked_after = speed.map_or(Duration::MAX, |speed| speed.parked_after);
     let parked = AtomicBool::new(false);
@@ -94,6 +95,7 @@ pub fn run(args: &MonitorArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
             newest: &newest,
             stop: &stop,
             clear: &clear,
+            cleared: &cleared,
             parked: &parked,
             began,
         };
@@ -189,7 +191,10 @@ fn all_frames(
 struct Shared<'a> {
     newest: &'a Newest,
     stop: &'a AtomicBool,
+    /// A clear request was heard.
     clear: &'a AtomicBool,
+    /// It was obeyed.
+    cleared: &'a AtomicBool,
     parked: &'a AtomicBool,
     began: Instant,
 }
@@ -206,8 +211,12 @@ fn judge(
     let mut next = Duration::ZERO;
     while !shared.stop.load(Ordering::Relaxed) {
         let taken = shared.newest.take(PATIENCE);
-        if shared.clear.swap(false, Ordering::Relaxed) && !monitor.clear_stored() {
-            log::warn!("GapClear is refused while the state is Gap");
+        if shared.clear.swap(false, Ordering::Relaxed) {
+            if monitor.clear_stored() {
+                shared.cleared.store(true, Ordering::Relaxed);
+            } else {
+                log::warn!("GapClear is refused while the road is, or was when last seen, a Gap");
+            }
         }
         let verdict = match taken {
             Taken::Ended(how) => return Ok(how?),
@@ -315,6 +324,12 @@ impl Teller<'_> {
                 self.last.state,
                 AlarmState::Unavailable | AlarmState::SensorFault
             );
+            // No frame tells the bus while nobody looks.
+            if shared.cleared.swap(false, Ordering::Relaxed) && unjudged && self.last.gap_stored {
+                let mut cleared = self.last.clone();
+                (cleared.at, cleared.sequence, cleared.gap_stored) = (now, None, false);
+                self.tell(now, &cleared, Duration::ZERO)?;
+            }
             if now.saturating_sub(self.last_told) > SILENT && !unjudged {
                 let silent = self.without_frame(now, Reason::Stale, Some(Undefined::Silence));
                 self.tell(now, &silent, Duration::ZERO)?;
