@@ -47,6 +47,10 @@ const BENIGN: f64 = 0.1;
 const SEVERE: f32 = 3.0;
 /// Length of the window, seconds.
 const WINDOW_S: f64 = 1.0;
+/// Of the quicker forecast.
+const SHORT_WINDOW_S: f64 = 0.4;
+/// A warning that comes so long after the onset is late, but comes.
+const LATE_S: f64 = 3.0;
 /// Entries into `Gap` an hour of nominal driving at which all are compared.
 pub const RATES_PER_HOUR: [f64; 2] = [1.0, 0.1];
 
@@ -123,7 +127,10 @@ pub struct LaneFailure {
     pub failures: u64,
     /// Those in which `Gap` was entered from 5 s before to 1 s after its onset.
     pub found: u64,
-    /// Share of them.
+    /// Those in which it was entered in that time or until 3 s after the onset.
+    #[serde(default)]
+    pub found_late: u64,
+    /// Share of those found in time.
     pub recall: Option<f64>,
     /// 95 % interval (Wilson; the roads are fewer than the drives).
     pub recall_interval: (f64, f64),
@@ -209,6 +216,7 @@ pub fn rows(
     let methods: Vec<Method> = windowed
         .chain([
             Method::LaneRiskOfOtherKinds,
+            Method::QuickLaneRisk,
             Method::MeanAttention,
             Method::BrightnessAndContrast,
         ])
@@ -227,6 +235,8 @@ enum Method {
     Metric(Metric),
     /// The forecast `lane-risk`, each kind of condition judged by a forecast that was fitted on the others.
     LaneRiskOfOtherKinds,
+    /// The forecast over a shorter window.
+    QuickLaneRisk,
     /// Mean of the energy map over its largest value, tap by tap (the score of ThirdEye, Stocco et al. 2022).
     MeanAttention,
     /// Mean and standard deviation of the grey levels of the picture.
@@ -238,6 +248,7 @@ impl Method {
         match self {
             Self::Metric(metric) => metric.to_string(),
             Self::LaneRiskOfOtherKinds => format!("{}, fitted on other kinds", Metric::LaneRisk),
+            Self::QuickLaneRisk => format!("{}, window {SHORT_WINDOW_S} s", Metric::LaneRisk),
             Self::MeanAttention => "mean attention".to_owned(),
             Self::BrightnessAndContrast => "brightness and contrast".to_owned(),
         }
@@ -253,15 +264,23 @@ impl Method {
     fn metric(self) -> Metric {
         match self {
             Self::Metric(metric) => metric,
-            Self::LaneRiskOfOtherKinds => Metric::LaneRisk,
+            Self::LaneRiskOfOtherKinds | Self::QuickLaneRisk => Metric::LaneRisk,
             Self::MeanAttention | Self::BrightnessAndContrast => Metric::Mahalanobis,
+        }
+    }
+
+    /// Length of its window, seconds.
+    fn window_s(self) -> f64 {
+        match self {
+            Self::QuickLaneRisk => SHORT_WINDOW_S,
+            _ => WINDOW_S,
         }
     }
 
     /// Names of the blocks that it looks at.
     fn taps(self, taps: &[String]) -> Vec<String> {
         match self {
-            Self::Metric(_) | Self::LaneRiskOfOtherKinds => taps.to_vec(),
+            Self::Metric(_) | Self::LaneRiskOfOtherKinds | Self::QuickLaneRisk => taps.to_vec(),
             Self::MeanAttention | Self::BrightnessAndContrast => vec![self.name()],
         }
     }
@@ -300,7 +319,9 @@ impl Method {
                 },
                 ..frame.clone()
             },
-            Self::LaneRiskOfOtherKinds => Self::Metric(Metric::LaneRisk).frame(frame, grey),
+            Self::LaneRiskOfOtherKinds | Self::QuickLaneRisk => {
+                Self::Metric(Metric::LaneRisk).frame(frame, grey)
+            }
             Self::MeanAttention => {
                 let means = frame.maps.iter().zip(&frame.peaks).map(|(map, peak)| {
                     map.energy.iter().sum::<f64>() / (map.energy.len() as f64 * peak)
@@ -392,14 +413,14 @@ impl Looked {
                 .collect::<Result<_, CalibrationError>>()?,
             _ => vec![(None, judge(None)?)],
         };
-        let metric = method.metric();
+        let (metric, window_s) = (method.metric(), method.window_s());
         // One judge a kind; nominal drives are judged by each of them, and the loudest counts.
         let mut drives: Vec<(&Judged, DriveScores, usize)> = Vec::new();
         for (index, (kind, judge)) in judges.iter().enumerate() {
             for judged in &self.judged {
                 if kind.is_none_or(|kind| kind == judged.condition.kind) {
                     let view = method.survey(&judged.drive);
-                    let scores = drive_scores(&view, metric, WINDOW_S, &judge.components);
+                    let scores = drive_scores(&view, metric, window_s, &judge.components);
                     drives.push((judged, scores, index));
                 }
             }
@@ -413,7 +434,7 @@ impl Looked {
                     .filter(|(index, _)| is_judging(*index))
                     .map(|(_, drive)| drive);
                 judging
-                    .map(|drive| drive_scores(drive, metric, WINDOW_S, &judge.components))
+                    .map(|drive| drive_scores(drive, metric, window_s, &judge.components))
                     .collect()
             })
             .collect();
@@ -480,7 +501,7 @@ impl Judge {
         };
         let wanted = Wanted {
             metric: method.metric(),
-            window_s: WINDOW_S,
+            window_s: method.window_s(),
             false_alarms_per_hour: RATES_PER_HOUR[0],
         };
         let Calibrated {
@@ -585,9 +606,9 @@ impl Entered {
         self.at_s.iter().any(|at| soon.contains(at))
     }
 
-    /// The entry that warns of a failure.
-    fn warning(&self, failure_s: f64) -> Option<f64> {
-        let counts = failure_s - BEFORE_S..=failure_s + AFTER_S;
+    /// The entry that warns of a failure, at most `after_s` after its onset.
+    fn warning(&self, failure_s: f64, after_s: f64) -> Option<f64> {
+        let counts = failure_s - BEFORE_S..=failure_s + after_s;
         self.at_s.iter().copied().find(|at| counts.contains(at))
     }
 }
@@ -604,7 +625,9 @@ impl LaneFailure {
             self.alarmed += u64::from(alarmed);
             if let Some(failure_s) = judged.failure_s() {
                 self.failures += 1;
-                if let Some(warning_s) = entered.warning(failure_s) {
+                let late = entered.warning(failure_s, LATE_S).is_some();
+                self.found_late += u64::from(late);
+                if let Some(warning_s) = entered.warning(failure_s, AFTER_S) {
                     self.found += 1;
                     leads.push(failure_s - warning_s);
                 }
@@ -698,6 +721,7 @@ impl Ranks {
             spearman_interval: percentile_interval(spearmans),
             failures: 0,
             found: 0,
+            found_late: 0,
             recall: None,
             recall_interval: (0.0, 1.0),
             lead_median_s: None,
@@ -788,10 +812,10 @@ mod tests {
         let entered = Entered {
             at_s: vec![6.5, 17.0],
         };
-        assert_eq!(entered.warning(11.5), Some(6.5));
-        assert_eq!(entered.warning(5.5), Some(6.5));
-        assert_eq!(entered.warning(12.0), None);
-        assert_eq!(entered.warning(16.0), Some(17.0));
+        assert_eq!(entered.warning(11.5, AFTER_S), Some(6.5));
+        assert_eq!(entered.warning(5.5, AFTER_S), Some(6.5));
+        assert_eq!(entered.warning(12.0, AFTER_S), None);
+        assert_eq!(entered.warning(16.0, AFTER_S), Some(17.0));
         assert!(entered.in_condition());
         assert!(
             !Entered {

@@ -136,6 +136,7 @@ pub fn sheets(rows: &[Row<LaneFailure>]) -> Vec<Sheet> {
             [
                 "method",
                 "recall, %",
+                "within 3 s after, %",
                 "of",
                 "precision, %",
                 "lead, s",
@@ -156,6 +157,7 @@ pub fn sheets(rows: &[Row<LaneFailure>]) -> Vec<Sheet> {
             sheet.rows.push(vec![
                 label(of),
                 per_cent(of.recall, of.recall_interval),
+                plain(share(of.found_late, of.failures), 100.0, 0),
                 of.failures.to_string(),
                 plain(of.precision, 100.0, 0),
                 plain(of.lead_median_s, 1.0, 1),
