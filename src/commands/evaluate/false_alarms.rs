@@ -11,7 +11,8 @@ use crate::args::EvaluateArgs;
 
 /// What the rows mean.
 pub const ABOUT: &str = "Entries into `Gap` on nominal drives that nothing was tuned on, at thresholds made for a wanted \
-    rate. Intervals are exact (Poisson). A rate is demonstrated when the hours are at least three times its inverse.";
+    rate. Intervals are from resampling drives, since a road near the threshold enters more than once, and never narrower than \
+    the exact ones of independent entries (Poisson). A rate is demonstrated when the hours are at least three times its inverse.";
 
 /// Hours of nominal drives of the full evaluation.
 const HOURS: u32 = 24;
