@@ -79,26 +79,42 @@ fn found(first: &Detection, of_rate: &[&Detection]) -> Sheet {
     let mut sheet = by_severity(title, of_rate, |of| {
         format!("{:.0}", 100.0 * of.found_share)
     });
-    let severe: Vec<&&Detection> = of_rate.iter().filter(|of| is_severe(of)).collect();
-    let sum = |count: fn(&Detection) -> u64| severe.iter().map(|of| count(of)).sum::<u64>();
-    let (hits, all) = (sum(|of| of.found), sum(|of| of.drives));
-    let (low, high) = binomial_interval(hits, all);
-    sheet.notes.push(format!(
-        "Severity 3 and above, the other look and noise together: {hits} of {all}, {:.1} % ({:.1} to {:.1}); {} missed, \
-         {} SensorFault instead, {} in Gap before.",
-        100.0 * hits as f64 / all.max(1) as f64,
-        100.0 * low,
-        100.0 * high,
-        sum(|of| of.missed),
-        sum(|of| of.sensor_fault),
-        sum(|of| of.alarmed_before),
+    let of_severe = |which: &str, counts: &dyn Fn(&Detection) -> bool| {
+        let severe: Vec<&&Detection> = of_rate.iter().filter(|of| counts(of)).collect();
+        let sum = |count: fn(&Detection) -> u64| severe.iter().map(|of| count(of)).sum::<u64>();
+        let (hits, all) = (sum(|of| of.found), sum(|of| of.drives));
+        let (low, high) = binomial_interval(hits, all);
+        format!(
+            "{which}: {hits} of {all}, {:.1} % ({:.1} to {:.1}); {} missed, {} SensorFault instead, {} in Gap before.",
+            100.0 * hits as f64 / all.max(1) as f64,
+            100.0 * low,
+            100.0 * high,
+            sum(|of| of.missed),
+            sum(|of| of.sensor_fault),
+            sum(|of| of.alarmed_before),
+        )
+    };
+    sheet.notes.push(of_severe(
+        "Conditions of severity 3 and above, the other look and noise",
+        &is_severe,
     ));
+    sheet
+        .notes
+        .push(of_severe("Conditions of severity 3 and above", &|of| {
+            of.severity.is_some_and(|severity| severity >= 3)
+        }));
     sheet
 }
 
-/// What must be found: not the adapted look, which plays the simulation that was made to look real.
+/// What must be found. Not the adapted look, which plays the simulation that was made to look real, and not the plain one, which
+/// every reference of accepted roads knows too.
 fn is_severe(of: &Detection) -> bool {
-    of.severity.is_none_or(|severity| severity >= 3) && of.event != Look::Realistic.name()
+    match of.severity {
+        Some(severity) => severity >= 3,
+        None => ![Look::Sim, Look::Realistic]
+            .map(Look::name)
+            .contains(&of.event.as_str()),
+    }
 }
 
 fn delays(first: &Detection, of_rate: &[&Detection]) -> Sheet {
