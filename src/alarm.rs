@@ -181,6 +181,8 @@ pub struct Alarm {
     suspect_since: Option<Duration>,
     /// What the last evidence was.
     evidence: Reason,
+    /// How long there may be no verdict.
+    patience: Duration,
 }
 
 impl Default for Alarm {
@@ -197,11 +199,26 @@ impl Default for Alarm {
             sighted: false,
             suspect_since: None,
             evidence: Reason::Abrupt,
+            patience: STALE,
         }
     }
 }
 
 impl Alarm {
+    /// An alarm whose frames may come as slowly as one every `period`: silence is told after half as long again, and after
+    /// 500 ms at the earliest.
+    pub fn with_frames_every(period: Duration) -> Self {
+        Self {
+            patience: STALE.max(period * 3 / 2),
+            ..Self::default()
+        }
+    }
+
+    /// How long there may be no verdict before the state says so.
+    pub fn patience(&self) -> Duration {
+        self.patience
+    }
+
     /// The state now.
     pub fn state(&self) -> AlarmState {
         self.state
@@ -285,14 +302,14 @@ impl Alarm {
 
     /// When the silence after the last frame becomes too long; `None` before the first frame.
     pub fn stale_at(&self) -> Option<Duration> {
-        self.last_frame.map(|last| last + STALE)
+        self.last_frame.map(|last| last + self.patience)
     }
 
     fn not_judged(&mut self, now: Duration, reason: Reason) {
         // Silence between slow frames is no blindness: they still add up.
         self.sighted &= reason == Reason::Stale;
         let since = *self.last_judged.get_or_insert(now);
-        if now.saturating_sub(since) < STALE {
+        if now.saturating_sub(since) < self.patience {
             return;
         }
         self.state = if reason.is_sensor_fault() {

@@ -7,6 +7,7 @@ use gapwatch::calibration::{PaperBinning, Temperature};
 use gapwatch::can::Sink;
 use gapwatch::encoder::Executor;
 use gapwatch::evidence::Quota;
+use gapwatch::frame::pixels::PixelFormat;
 use gapwatch::gap::Metric;
 use gapwatch::model::ModelOptions;
 use gapwatch::reference::{WINDOW_S_MAX, WINDOW_S_MIN};
@@ -387,9 +388,40 @@ pub struct BenchArgs {
     /// Size of the camera's pictures, pixels
     #[arg(long, value_name = "WxH", default_value = "1280x720")]
     pub frame: PictureSize,
+    /// Format of the camera's pixels
+    #[arg(long, value_enum, default_value = "yuyv")]
+    pub pixels: PixelChoice,
     /// Who runs the encoder: the fastest that can, or tract, to compare with
     #[arg(long, value_enum, default_value = "fastest")]
     pub executor: ExecutorChoice,
+}
+
+/// A camera's pixel format.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum PixelChoice {
+    Yuyv,
+    Nv12,
+    Mjpg,
+    Rgb3,
+    Bgr3,
+}
+
+impl From<PixelChoice> for PixelFormat {
+    fn from(choice: PixelChoice) -> Self {
+        match choice {
+            PixelChoice::Yuyv => Self::Yuyv,
+            PixelChoice::Nv12 => Self::Nv12,
+            PixelChoice::Mjpg => Self::Mjpg,
+            PixelChoice::Rgb3 => Self::Rgb3,
+            PixelChoice::Bgr3 => Self::Bgr3,
+        }
+    }
+}
+
+impl std::fmt::Display for PixelChoice {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(&format!("{self:?}").to_uppercase())
+    }
 }
 
 /// Who runs the encoder.

@@ -103,6 +103,8 @@ pub struct MonitorBoard {
     pub strict: bool,
     /// Most frames a second that are judged.
     pub rate_hz: f64,
+    /// Frames a second while the road is clearly nominal or the car parked; as `rate_hz` unless the board says less.
+    pub idle_rate_hz: f64,
 }
 
 #[derive(Deserialize)]
@@ -130,9 +132,13 @@ struct CanTable {
     listen_s: Option<Seconds>,
     status: Option<Ids>,
     health: Option<Ids>,
+    detail: Option<Ids>,
     clear: Option<Ids>,
     status_period_ms: Option<u16>,
     health_period_ms: Option<u16>,
+    detail_period_ms: Option<u16>,
+    #[serde(default)]
+    fd: bool,
     speed: Option<Speed>,
 }
 
@@ -167,6 +173,7 @@ struct MonitorTable {
     #[serde(default)]
     strict: bool,
     rate_hz: Option<Rate>,
+    idle_rate_hz: Option<Rate>,
 }
 
 #[derive(Clone, Deserialize)]
@@ -296,6 +303,14 @@ impl Board {
             let line = text.lines().position(|line| line.trim() == "[can]");
             wrong(1 + line.unwrap_or(0), format!("in [can]: {error}"))
         })?;
+        let rate_hz = file.monitor.rate_hz.map_or(RATE_HZ, |rate| rate.0);
+        let idle_rate_hz = file.monitor.idle_rate_hz.map_or(rate_hz, |rate| rate.0);
+        if idle_rate_hz > rate_hz {
+            let line = text.lines().position(|line| line.contains("idle_rate_hz"));
+            let found =
+                format!("idle_rate_hz = {idle_rate_hz}, wanted at most rate_hz = {rate_hz}");
+            return Err(wrong(1 + line.unwrap_or(0), found));
+        }
         let beside = |named: PathBuf| path.parent().unwrap_or(Path::new("")).join(named);
         Ok(Self {
             camera: CameraBoard {
@@ -315,7 +330,8 @@ impl Board {
                 reference: file.monitor.reference.map(beside),
                 model: file.monitor.model.map(beside),
                 strict: file.monitor.strict,
-                rate_hz: file.monitor.rate_hz.map_or(RATE_HZ, |rate| rate.0),
+                rate_hz,
+                idle_rate_hz,
             },
         })
     }
@@ -335,9 +351,12 @@ impl CanTable {
         CanSettings {
             status: ids(&self.status, default.status),
             health: ids(&self.health, default.health),
+            detail: ids(&self.detail, default.detail),
             clear: ids(&self.clear, default.clear),
             status_period: period(self.status_period_ms, default.status_period),
             health_period: period(self.health_period_ms, default.health_period),
+            detail_period: period(self.detail_period_ms, default.detail_period),
+            fd: self.fd,
             speed: self.speed.as_ref().map(|speed| SpeedSignal {
                 id: speed.id.0,
                 start_bit: speed.start_bit,
@@ -413,6 +432,12 @@ mod tests {
             (3, "[can]", "size = \"9x9\"\n[can]", "WIDTHxHEIGHT"),
             (3, "[can]", "format = \"H264\"\n[can]", "YUYV, NV12"),
             (3, "[can]", "fps = 0.0\n[can]", "0.1 to 240"),
+            (
+                6,
+                "\"none\"\n",
+                "\"none\"\n[monitor]\nidle_rate_hz = 12.0\n",
+                "at most rate_hz = 10",
+            ),
             (4, "sink", "status = { id = 0x800 }\nsink", "0x7FF"),
             (4, "sink", "listen_s = -1.0\nsink", "seconds from 0"),
             (3, "sink", "status = { id = 0x5D1 }\nsink", "two messages"),

@@ -5,9 +5,11 @@
 //! Refuses to judge light and weather: night, fog, rain, glare, blur and dirt are gaps, and a fault would hide them; a test
 //! holds it to that on rendered drives.
 
+use std::ops::Range;
 use std::time::Duration;
 
-use crate::frame::{Frame, Picture};
+use crate::frame::Frame;
+use crate::frame::pixels::Pixels;
 use crate::undefined::Undefined;
 
 /// A picture that stays the same for this long is frozen: the noise of a sensor changes every frame. The alarm waits as
@@ -31,12 +33,18 @@ const STILL: Duration = Duration::from_secs(1);
 /// is above the road, at severity 5 too.
 const STILL_PERCENT: usize = 60;
 
-/// Remembers the last picture, and since when which block has looked the same.
+/// Rows whose brightness is added up before it could overflow.
+const ROWS_MAX: usize = 257;
+
+/// Remembers the last picture, and since when which block has looked the same. Of a camera's own format it looks at
+/// brightness alone.
 #[derive(Debug, Default)]
 pub struct CameraHealth {
-    last: Vec<u8>,
+    last: Option<Pixels>,
     /// When the last picture was first seen.
     since: Duration,
+    /// Of some rows.
+    columns: Vec<Column>,
     cells: Vec<Cell>,
     blocks: Vec<Block>,
     /// Number and time of the last frame.
@@ -59,24 +67,25 @@ impl CameraHealth {
     /// `OutOfOrder`, `Frozen` or `Covered`.
     pub fn check(&mut self, frame: &Frame) -> Result<(), Undefined> {
         let silence = self.check_order(frame)?;
-        let Ok(picture) = &frame.picture else {
+        let Ok(pixels) = &frame.picture else {
             return Ok(());
         };
         // A camera that gave nothing for long may begin again with what it showed last.
         if silence > HOLE {
-            self.last.clear();
+            self.last = None;
             self.blocks.clear();
         }
-        if picture.rgb == self.last {
+        if self.last.as_ref() == Some(pixels) {
             let still = frame.captured_at.saturating_sub(self.since);
-            if still >= FROZEN && !is_uniform(picture) {
+            // A picture of one colour has its own name.
+            if still >= FROZEN && !pixels.is_uniform() {
                 return Err(Undefined::Frozen(still));
             }
         } else {
-            self.last.clone_from(&picture.rgb);
+            self.last = Some(pixels.clone());
             self.since = frame.captured_at;
         }
-        self.look_at_blocks(frame.captured_at, picture);
+        self.look_at_blocks(frame.captured_at, pixels);
         let share = |is: &dyn Fn(&Block) -> bool| {
             let count = self.blocks.iter().filter(|block| is(block)).count();
             (100 * count).div_ceil(self.blocks.len().max(1))
@@ -89,7 +98,7 @@ impl CameraHealth {
         });
         let covered = black > COVERED_PERCENT || still > STILL_PERCENT;
         // What is all black has its own name too.
-        if covered && black < 100 && !is_uniform(picture) {
+        if covered && black < 100 && !pixels.is_uniform() {
             let percent = u8::try_from(black.max(still)).unwrap_or(100);
             return Err(Undefined::Covered { percent });
         }
@@ -108,25 +117,39 @@ impl CameraHealth {
         }
     }
 
-    fn look_at_blocks(&mut self, now: Duration, picture: &Picture) {
+    fn look_at_blocks(&mut self, now: Duration, pixels: &Pixels) {
         let (across, down) = (BLOCKS.0 * CELLS, BLOCKS.1 * CELLS);
-        let (width, height) = (picture.width as usize, picture.height as usize);
-        if width < across || height < down || picture.rgb.len() != 3 * width * height {
+        let layout = pixels.layout();
+        let (width, height) = (layout.width as usize, layout.height as usize);
+        if width < across || height < down {
             self.blocks.clear();
             return;
         }
         self.blocks.resize(BLOCKS.0 * BLOCKS.1, Block::default());
         self.cells.clear();
         self.cells.resize(across * down, Cell::default());
-        for (y, row) in picture.rgb.chunks_exact(3 * width).enumerate() {
-            let cells = &mut self.cells[y * down / height * across..][..across];
-            for (column, cell) in cells.iter_mut().enumerate() {
-                let (from, to) = (column * width / across, (column + 1) * width / across);
-                for &value in &row[3 * from..3 * to] {
-                    cell.sum += u64::from(value);
-                    cell.brightest = cell.brightest.max(value);
+        let brightness = pixels.brightness();
+        let columns = width * brightness.a_pixel / brightness.step;
+        self.columns.resize(columns, Column::default());
+        let row_of = |cell: usize| cell * height / down;
+        for (n, cells) in self.cells.chunks_exact_mut(across).enumerate() {
+            let rows = row_of(n)..row_of(n + 1);
+            for some in rows.clone().step_by(ROWS_MAX) {
+                let some = some..rows.end.min(some + ROWS_MAX);
+                match brightness.step {
+                    2 => add_up::<2, 64>(pixels, some.clone(), &mut self.columns),
+                    _ => add_up::<1, 64>(pixels, some.clone(), &mut self.columns),
                 }
-                cell.values += 3 * (to - from) as u64;
+                let a_pixel = brightness.a_pixel / brightness.step;
+                for (column, cell) in cells.iter_mut().enumerate() {
+                    let edge = |column: usize| column * width / across * a_pixel;
+                    let columns = &self.columns[edge(column)..edge(column + 1)];
+                    cell.values += (some.len() * columns.len()) as u64;
+                    for column in columns {
+                        cell.sum += u64::from(column.sum);
+                        cell.brightest = cell.brightest.max(column.brightest);
+                    }
+                }
             }
         }
         for (n, block) in self.blocks.iter_mut().enumerate() {
@@ -134,8 +157,8 @@ impl CameraHealth {
             let mut brightest = 0;
             for (at, mean) in block.cells.iter_mut().enumerate() {
                 let cell = &self.cells[(top + at / CELLS) * across + left + at % CELLS];
-                *mean = u8::try_from(cell.sum / cell.values.max(1)).unwrap_or(u8::MAX);
-                brightest = brightest.max(cell.brightest);
+                *mean = brightness.of_255(cell.sum / cell.values.max(1));
+                brightest = brightest.max(brightness.of_255(cell.brightest.into()));
             }
             block.black = brightest <= BLACK_MAX;
             block.keep_or_begin(now);
@@ -143,10 +166,42 @@ impl CameraHealth {
     }
 }
 
-/// A picture of one colour has its own name.
-fn is_uniform(picture: &Picture) -> bool {
-    let mut pixels = picture.rgb.chunks_exact(3);
-    pixels.all(|pixel| pixel == &picture.rgb[..3])
+/// Brightness in one column of some rows.
+#[derive(Clone, Copy, Debug, Default)]
+struct Column {
+    sum: u16,
+    brightest: u8,
+}
+
+/// Adds up rows of which every `STEP`-th byte counts, `BYTES` of each at a time.
+fn add_up<const STEP: usize, const BYTES: usize>(
+    pixels: &Pixels,
+    rows: Range<usize>,
+    columns: &mut [Column],
+) {
+    let stride = pixels.layout().stride as usize;
+    for (block, columns) in columns.chunks_mut(BYTES / STEP).enumerate() {
+        let (mut sums, mut brightest) = ([0_u16; BYTES], [0_u8; BYTES]);
+        let used = STEP * columns.len();
+        for row in rows.clone() {
+            let bytes = &pixels.bytes()[row * stride + block * BYTES..];
+            let sums = sums.iter_mut().zip(&mut brightest);
+            let add = |bytes: &[u8]| {
+                for ((sum, brightest), &byte) in sums.zip(bytes) {
+                    *sum += u16::from(byte);
+                    *brightest = (*brightest).max(byte);
+                }
+            };
+            // Most blocks are whole, which the compiler then knows.
+            match bytes.first_chunk::<BYTES>() {
+                Some(whole) => add(whole),
+                None => add(&bytes[..used]),
+            }
+        }
+        for (at, column) in columns.iter_mut().enumerate() {
+            (column.sum, column.brightest) = (sums[STEP * at], brightest[STEP * at]);
+        }
+    }
 }
 
 /// What is added up over a part of a block.
@@ -178,7 +233,7 @@ impl Block {
 mod tests {
     #![allow(clippy::unwrap_used, clippy::cast_possible_truncation)]
     use super::*;
-    use crate::frame::open;
+    use crate::frame::{Picture, open};
 
     fn frame(millis: u64, value: impl Fn(u32, u32) -> u8) -> Frame {
         let (width, height) = (64, 32);
@@ -189,7 +244,7 @@ mod tests {
         Frame {
             sequence: millis / 100,
             captured_at: Duration::from_millis(millis),
-            picture: Ok(Picture { width, height, rgb }),
+            picture: Ok(Picture { width, height, rgb }.into()),
         }
     }
 

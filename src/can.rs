@@ -10,6 +10,7 @@
 
 #[cfg(feature = "can")]
 pub mod bus;
+pub mod detail;
 pub mod e2e;
 pub mod log;
 pub mod message;
@@ -74,12 +75,18 @@ pub struct CanSettings {
     pub status: MessageIds,
     /// Of `GapHealth`; 0x5D1 by default.
     pub health: MessageIds,
+    /// Of `GapDetail`; 0x5D2 by default.
+    pub detail: MessageIds,
     /// Of `GapClear`; 0x5D8 by default.
     pub clear: MessageIds,
     /// Time between cyclic `GapStatus` frames; 100 ms by default.
     pub status_period: Duration,
     /// Time between `GapHealth` frames; 1 s by default.
     pub health_period: Duration,
+    /// Time between `GapDetail` frames; 1 s by default.
+    pub detail_period: Duration,
+    /// Whether the bus has CAN FD and `GapDetail` is sent; not by default.
+    pub fd: bool,
     /// Shortest time between two `GapStatus` frames; 20 ms by default.
     pub minimum_gap: Duration,
     /// Where others send the vehicle's speed; `None` by default.
@@ -90,13 +97,17 @@ impl Default for CanSettings {
     fn default() -> Self {
         let status = generated::GapStatus::ATTRIBUTES;
         let health = generated::GapHealth::ATTRIBUTES;
+        let detail = generated::GapDetail::ATTRIBUTES;
         let clear = generated::GapClear::ATTRIBUTES;
         Self {
             status: ids(generated::GapStatus::MESSAGE_ID, &status),
             health: ids(generated::GapHealth::MESSAGE_ID, &health),
+            detail: ids(generated::GapDetail::MESSAGE_ID, &detail),
             clear: ids(generated::GapClear::MESSAGE_ID, &clear),
             status_period: Duration::from_millis(status.cycle_ms),
             health_period: Duration::from_millis(health.cycle_ms),
+            detail_period: Duration::from_millis(detail.cycle_ms),
+            fd: false,
             minimum_gap: Duration::from_millis(status.minimum_gap_ms),
             speed: None,
         }
@@ -145,7 +156,12 @@ impl CanSettings {
     /// The first [`CanSettingsError`] found: identifier above 11 bits, identifier given twice,
     /// speed that no frame holds, period of zero, minimum gap not shorter than the status period.
     pub fn check(&self) -> Result<(), CanSettingsError> {
-        let ids = [self.status.id, self.health.id, self.clear.id];
+        let ids = [
+            self.status.id,
+            self.health.id,
+            self.detail.id,
+            self.clear.id,
+        ];
         for (n, &id) in ids.iter().enumerate() {
             if id > LARGEST_ID {
                 return Err(CanSettingsError::IdTooLarge(id));
@@ -160,7 +176,8 @@ impl CanSettings {
                 return Err(CanSettingsError::SameId(speed.id));
             }
         }
-        if self.status_period.is_zero() || self.health_period.is_zero() {
+        let periods = [self.status_period, self.health_period, self.detail_period];
+        if periods.contains(&Duration::ZERO) {
             return Err(CanSettingsError::NoPeriod);
         }
         if self.minimum_gap >= self.status_period {
@@ -196,6 +213,15 @@ pub trait WarningSink {
     /// # Errors
     /// When the frame was not taken; the same frame may be offered again.
     fn send(&mut self, at: Duration, frame: &CanFrame) -> Result<(), SinkError>;
+
+    /// Takes one CAN FD frame of at most 64 bytes with a standard identifier, at `at` since the start of the drive. What has
+    /// no CAN FD lets it go.
+    ///
+    /// # Errors
+    /// When the frame was not taken.
+    fn send_fd(&mut self, _at: Duration, _id: u16, _data: &[u8]) -> Result<(), SinkError> {
+        Ok(())
+    }
 
     /// A frame that came over the bus and waits, if there is one. Never blocks.
     fn receive(&mut self) -> Option<CanFrame> {
@@ -326,8 +352,13 @@ impl Sink {
             #[cfg(feature = "can")]
             Self::Socket(interface) => {
                 let mut heard = vec![settings.status.id, settings.health.id, settings.clear.id];
+                heard.extend(settings.fd.then_some(settings.detail.id));
                 heard.extend(settings.speed.as_ref().map(|speed| speed.id));
-                Ok(Box::new(bus::SocketSink::open(interface, &heard)?))
+                Ok(Box::new(bus::SocketSink::open(
+                    interface,
+                    &heard,
+                    settings.fd,
+                )?))
             }
         }
     }

@@ -33,7 +33,7 @@ mod steps;
 mod tests;
 
 use buffers::Buffers;
-use kernel::Kernel;
+pub(crate) use kernel::{Kernel, turned};
 use plan::Plan;
 
 /// Most elements of one value inside a model: half a GiB of 32-bit floats, eight times the largest input.

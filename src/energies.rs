@@ -4,7 +4,9 @@ use serde::{Deserialize, Serialize};
 
 use crate::attention::{EnergyMap, common_size, energy_from_features};
 use crate::encoder::{Encoder, EncoderError, EncoderSession, FeatureMap};
+use crate::frame::pixels::Pixels;
 use crate::frame::{Frame, Picture};
+use crate::image_quality::{ImageQuality, QualityMeter};
 use crate::lane::LaneMask;
 use crate::preprocess::{Preprocessing, Preprocessor};
 use crate::undefined::Undefined;
@@ -12,6 +14,8 @@ use crate::undefined::Undefined;
 /// Picture → encoder input → feature maps → energy maps, for one thread. Keeps its buffers.
 pub struct EnergyStage {
     preprocessor: Preprocessor,
+    meter: QualityMeter,
+    quality: ImageQuality,
     session: EncoderSession,
     taps: Vec<String>,
     common: (usize, usize),
@@ -45,6 +49,8 @@ impl EnergyStage {
     pub fn new(encoder: &Encoder, preprocessing: &Preprocessing) -> Result<Self, EncoderError> {
         Ok(Self {
             preprocessor: Preprocessor::new(preprocessing),
+            meter: QualityMeter::new(preprocessing),
+            quality: ImageQuality::default(),
             session: encoder.session()?,
             taps: encoder.taps().to_vec(),
             common: common_size(preprocessing.width, preprocessing.height),
@@ -64,19 +70,20 @@ impl EnergyStage {
     /// # Errors
     /// Why this frame cannot be judged.
     pub fn energies(&mut self, frame: &Frame) -> Result<&[EnergyMap], Undefined> {
-        let picture: &Picture = frame
+        let pixels = frame
             .picture
             .as_ref()
             .map_err(|error| Undefined::Corrupt(error.to_string()))?;
-        self.energies_of(picture)
+        self.energies_of(pixels)
     }
 
     /// Energy maps of a picture, one a tap, each of its block's own size.
     ///
     /// # Errors
     /// Why it cannot be judged.
-    pub fn energies_of(&mut self, picture: &Picture) -> Result<&[EnergyMap], Undefined> {
-        let input = self.preprocessor.input(picture)?;
+    pub fn energies_of(&mut self, pixels: &Pixels) -> Result<&[EnergyMap], Undefined> {
+        let input = self.preprocessor.input(pixels)?;
+        self.quality = self.meter.measure(input);
         let features = self.session.run(input).map_err(Undefined::Encoder)?;
         let blocks = self.maps.iter_mut().zip(&mut self.means);
         for ((tap, features), (map, means)) in self.taps.iter().zip(features.iter()).zip(blocks) {
@@ -97,6 +104,11 @@ impl EnergyStage {
     /// Energy maps of the last picture that was judged.
     pub fn maps(&self) -> &[EnergyMap] {
         &self.maps
+    }
+
+    /// How good the last picture was that showed anything.
+    pub fn quality(&self) -> ImageQuality {
+        self.quality
     }
 
     /// What the encoder saw of the last picture.

@@ -21,6 +21,7 @@ use crate::calibration::median;
 use crate::encoder::{Encoder, EncoderError};
 use crate::energies::EnergyStage;
 use crate::frame::Picture;
+use crate::frame::pixels::Pixels;
 use crate::lane::{LaneMask, Overlap, energy_on_lanes};
 use crate::model::ModelSpec;
 use crate::scene::{Condition, ConditionKind, Drive, Look, Renderer, World, scene_moment};
@@ -191,7 +192,7 @@ impl Judge {
             rgb: scene.rgb.to_vec(),
         };
         let truth = LaneMask::of_labels(self.size.0 as usize, scene.mask);
-        let attention = self.attention(&picture, &truth);
+        let attention = self.attention(&picture.into(), &truth);
         let answer = attention.as_ref().ok().and(self.stage.lane());
         Answer {
             setting,
@@ -204,12 +205,12 @@ impl Judge {
     /// Where the encoder looks in one picture, by tap.
     fn attention(
         &mut self,
-        picture: &Picture,
+        pixels: &Pixels,
         truth: &LaneMask,
     ) -> Result<Vec<TapAttention>, Undefined> {
         let area = truth.area();
         let common_size = self.stage.common_size();
-        let maps = self.stage.energies_of(picture)?;
+        let maps = self.stage.energies_of(pixels)?;
         if self.upsamplers.is_empty() {
             let sizes = maps.iter().map(|map| (map.width, map.height));
             self.upsamplers = sizes

@@ -24,6 +24,7 @@ use image::{ExtendedColorType, ImageEncoder};
 use serde::{Deserialize, Serialize};
 
 use crate::alarm::AlarmState;
+use crate::frame::pixels::Pixels;
 use crate::frame::{Frame, Picture};
 use crate::heat;
 use crate::pipeline::{Look, Verdict};
@@ -99,7 +100,7 @@ struct Message {
     moment: Moment,
     at: Duration,
     edge: bool,
-    picture: Picture,
+    pixels: Pixels,
     look: Option<Look>,
 }
 
@@ -143,7 +144,7 @@ impl Recorder {
         let due = self
             .handed_at
             .is_none_or(|at| frame.captured_at.saturating_sub(at) >= STEP);
-        let (true, Ok(picture)) = (edge || due, &frame.picture) else {
+        let (true, Ok(pixels)) = (edge || due, &frame.picture) else {
             return;
         };
         self.handed_at = Some(frame.captured_at);
@@ -159,7 +160,7 @@ impl Recorder {
             },
             at: frame.captured_at,
             edge,
-            picture: picture.clone(),
+            pixels: pixels.clone(),
             look: (edge && verdict.score.is_some()).then(look),
         };
         if self.sender.try_send(message).is_err() {
@@ -279,7 +280,7 @@ impl Writer {
 
 fn held(message: Message, taps: &[String]) -> image::ImageResult<Held> {
     let mut moment = message.moment;
-    let mut files = vec![(moment.frame.clone(), jpeg(&message.picture)?)];
+    let mut files = vec![(moment.frame.clone(), jpeg(&message.pixels.picture())?)];
     if let Some(look) = &message.look {
         for ((tap, energies), number) in taps.iter().zip(&look.energies).zip(1..) {
             // Numbered, for names of taps may hold anything.
@@ -326,7 +327,7 @@ mod tests {
         let frame = Frame {
             sequence: tenth,
             captured_at: at,
-            picture: Ok(picture()),
+            picture: Ok(picture().into()),
         };
         let verdict = Verdict {
             at,
@@ -335,6 +336,10 @@ mod tests {
             reason: Reason::None,
             undefined: None,
             score: Some(1.5),
+            quality: None,
+            window_frames: None,
+            nominal_domain: None,
+            drift: None,
             blocks: heapless::Vec::new(),
             window_fill: Some(1.0),
             fault_detection_counter: 0,

@@ -14,12 +14,15 @@ mod random;
 mod video;
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::time::Duration;
 
 pub use names::{drives, ranges, sort_drives, stamp, template};
 
 use crate::board::CameraWish;
+use crate::rate::WantedPeriod;
 use crate::scene::{DriveSpec, SpecError};
+use pixels::Pixels;
 
 /// Frames a second of a folder of images, unless its name says otherwise.
 pub const FOLDER_FPS: f64 = 10.0;
@@ -49,7 +52,7 @@ pub struct Frame {
     /// Time since the source began.
     pub captured_at: Duration,
     /// The picture, or what was wrong with it.
-    pub picture: Result<Picture, PictureError>,
+    pub picture: Result<Pixels, PictureError>,
 }
 
 /// A picture that cannot be read.
@@ -129,8 +132,8 @@ pub trait FrameSource: Send {
     }
 }
 
-/// Opens what a board names as its camera: `v4l2:/dev/videoN`, asked for what is wished, of which `rate_hz` frames a second
-/// are given at most; or any other source.
+/// Opens what a board names as its camera: `v4l2:/dev/videoN`, asked for what is wished, of which a frame every `period` is
+/// given at most; or any other source.
 ///
 /// # Errors
 /// When there is no such camera, or as [`open`].
@@ -138,11 +141,11 @@ pub trait FrameSource: Send {
 pub fn open_camera(
     name: &str,
     wish: &CameraWish,
-    rate_hz: f64,
+    period: Arc<WantedPeriod>,
 ) -> Result<Box<dyn FrameSource>, SourceError> {
     match name.strip_prefix("v4l2:") {
         #[cfg(feature = "camera")]
-        Some(device) => Ok(Box::new(camera::CameraSource::open(device, wish, rate_hz)?)),
+        Some(device) => Ok(Box::new(camera::CameraSource::open(device, wish, period)?)),
         #[cfg(not(feature = "camera"))]
         Some(_) => Err(SourceError::Name {
             found: name.to_owned(),

@@ -11,6 +11,7 @@ use serde::ser::{SerializeMap, Serializer};
 use serde::{Deserialize, Serialize};
 
 use crate::detector::BlockScore;
+use crate::image_quality::ImageQuality;
 use crate::pipeline::Verdict;
 use crate::reference::{FalseAlarms, NominalDrives, Reference};
 use crate::whole_file::WholeFile;
@@ -113,8 +114,30 @@ struct Line<'a> {
     health: String,
     latency_ms: f64,
     tap_score: PerTap<'a>,
+    image: Option<Image>,
     #[serde(skip_serializing_if = "Option::is_none")]
     about: Option<About>,
+}
+
+/// How good the picture was, to a thousandth.
+#[derive(Serialize)]
+struct Image {
+    brightness: f64,
+    contrast: f64,
+    clipped: f64,
+    sharpness: f64,
+}
+
+impl From<ImageQuality> for Image {
+    fn from(of: ImageQuality) -> Self {
+        let rounded = |value: f64| (1e3 * value).round() / 1e3;
+        Self {
+            brightness: rounded(of.brightness),
+            contrast: rounded(of.contrast),
+            clipped: rounded(of.clipped),
+            sharpness: rounded(of.sharpness),
+        }
+    }
 }
 
 /// One number a tap, in the order of the taps; `null` where there is none.
@@ -182,6 +205,7 @@ impl Journal {
                 .map_or_else(|| "ok".to_owned(), ToString::to_string),
             latency_ms: latency.as_secs_f64() * 1e3,
             tap_score: per_tap(|block| block.score),
+            image: verdict.quality.map(Image::from),
             about,
         };
         serde_json::to_writer(&mut self.lines, &line)

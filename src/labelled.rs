@@ -61,7 +61,7 @@ impl LabelledSurvey {
                 rgb: scene.rgb.to_vec(),
             };
             labelled.grey.push(grey(&picture.rgb));
-            let judged = stage.energies_of(&picture).map(|_| ());
+            let judged = stage.energies_of(&picture.into()).map(|_| ());
             let answer = judged.as_ref().ok().and(stage.lane());
             labelled.overlaps.push(Overlap::of(answer, &truth));
             labelled.survey.times.push(at);

@@ -30,6 +30,8 @@ pub mod camera_health;
 pub mod model;
 pub mod preprocess;
 
+pub mod image_quality;
+
 pub mod encoder;
 
 pub mod attention;
@@ -48,6 +50,7 @@ pub mod detector;
 
 pub mod alarm;
 pub mod health;
+pub mod rate;
 
 pub mod can;
 pub mod pipeline;

@@ -9,6 +9,7 @@ use crate::detector::{BlockScore, Detector, Evidence};
 use crate::encoder::{Encoder, EncoderError};
 use crate::energies::EnergyStage;
 use crate::frame::{Frame, Picture};
+use crate::image_quality::ImageQuality;
 use crate::intake::Intake;
 use crate::model::TAPS_MAX;
 use crate::reference::{Component, Reference};
@@ -42,6 +43,14 @@ pub struct Verdict {
     pub score: Option<f64>,
     /// One entry a tap; empty when the frame cannot be judged.
     pub blocks: heapless::Vec<BlockScore, TAPS_MAX>,
+    /// How good the picture was; `None` when the frame cannot be judged.
+    pub quality: Option<ImageQuality>,
+    /// Frames in the detector's window; `None` when the frame cannot be judged.
+    pub window_frames: Option<usize>,
+    /// The nominal domain that the window lies nearest to, by its place in the reference.
+    pub nominal_domain: Option<usize>,
+    /// How far scores have added up, 1 is a drift.
+    pub drift: Option<f64>,
     /// Share of the detector's window that is filled, 0..1; `None` when the frame cannot be judged.
     pub window_fill: Option<f64>,
     /// Fault detection counter, -128..127.
@@ -77,6 +86,12 @@ impl Monitor {
             detector,
             alarm: Alarm::default(),
         })
+    }
+
+    /// Frames may come as slowly as one every `period`: see [`Alarm::with_frames_every`].
+    pub fn with_frames_every(mut self, period: Duration) -> Self {
+        self.alarm = Alarm::with_frames_every(period);
+        self
     }
 
     /// Frame → energies → histograms → window → score → state. Time is the frame's own.
@@ -122,6 +137,10 @@ impl Monitor {
             reason: self.alarm.reason(),
             undefined,
             score: seen.as_ref().map(|seen| seen.score),
+            quality: seen.is_some().then(|| self.stage.quality()),
+            window_frames: seen.as_ref().map(|seen| seen.frames),
+            nominal_domain: seen.as_ref().map(|seen| seen.component),
+            drift: seen.as_ref().map(|seen| seen.drift),
             window_fill: seen.as_ref().map(|seen| seen.fill),
             blocks: seen.map_or_else(heapless::Vec::new, |seen| seen.blocks),
             fault_detection_counter: self.alarm.fault_detection_counter(),

@@ -23,7 +23,7 @@ use gapwatch::can::BusState;
 use gapwatch::can::e2e::{E2eReceiver, E2eSender, Sequence};
 use gapwatch::can::message::{ClearRequest, GapHealth, GapStatus};
 use gapwatch::encoder::Encoder;
-use gapwatch::frame::pixels::{Layout, PixelFormat};
+use gapwatch::frame::pixels::{Layout, PixelFormat, Pixels};
 use gapwatch::frame::{Frame, Picture, open};
 use gapwatch::journal::{self, Entry};
 use gapwatch::model::{ModelOptions, ModelSpec};
@@ -161,7 +161,7 @@ fn pictures(name: &str) -> Vec<Picture> {
         source
             .next_frame()
             .unwrap()
-            .map(|frame| frame.picture.unwrap())
+            .map(|frame| frame.picture.unwrap().picture())
     };
     std::iter::from_fn(next).collect()
 }
@@ -190,14 +190,14 @@ fn yuyv(picture: &Picture) -> Vec<u8> {
 }
 
 /// What a camera of this format shows of a picture.
-fn through_yuyv(picture: &Picture) -> Picture {
+fn through_yuyv(picture: &Picture) -> Pixels {
     let layout = Layout {
         format: PixelFormat::Yuyv,
         width: picture.width,
         height: picture.height,
         stride: 0,
     };
-    layout.picture(&yuyv(picture)).unwrap()
+    layout.pixels(&yuyv(picture)).unwrap()
 }
 
 /// A frame that candump logged.
@@ -288,18 +288,18 @@ impl Judge {
     }
 }
 
-fn look(monitor: &mut Monitor, entry: &Entry, picture: &Picture) -> Verdict {
+fn look(monitor: &mut Monitor, entry: &Entry, pixels: &Pixels) -> Verdict {
     monitor.step(&Frame {
         sequence: entry.sequence.unwrap(),
         captured_at: Duration::from_secs_f64(entry.t_s),
-        picture: Ok(picture.clone()),
+        picture: Ok(pixels.clone()),
     })
 }
 
 /// Which frames of the clip the camera showed when the monitor looked. It starts anywhere, and where the clocks of vivid's
 /// two nodes touch it shows a frame twice or leaves one out; what was shown is what gives the same verdict, to the last
 /// bits.
-fn shown(share: &Path, seen: &[Entry], clip: &[Picture]) -> Vec<usize> {
+fn shown(share: &Path, seen: &[Entry], clip: &[Pixels]) -> Vec<usize> {
     let judge = Judge::new(share);
     let explains = |verdict: &Verdict, entry: &Entry| {
         let close = |(a, b): (f64, f64)| (a - b).abs() < SAME;
@@ -358,7 +358,7 @@ fn judged(share: &Path, seen: &[Entry], pictures: &[&Picture]) -> Vec<Verdict> {
     let mut monitor = judge.monitor();
     let frames = seen.iter().zip(pictures);
     frames
-        .map(|(entry, picture)| look(&mut monitor, entry, picture))
+        .map(|(entry, &picture)| look(&mut monitor, entry, &picture.clone().into()))
         .collect()
 }
 
@@ -369,7 +369,7 @@ fn vm_verdicts_through_camera_and_kernel_equal_those_of_a_replay() {
     let seen = journal_of(&share, "drive.jsonl");
     assert!(seen.len() > 100, "{} frames judged", seen.len());
     let files = pictures(DRIVE);
-    let camera: Vec<Picture> = files.iter().map(through_yuyv).collect();
+    let camera: Vec<Pixels> = files.iter().map(through_yuyv).collect();
     // Panics unless a frame of the clip explains every score and state to the last bits.
     let shown = shown(&share, &seen, &camera);
 

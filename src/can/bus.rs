@@ -2,20 +2,26 @@
 //!
 //! Owns the socket: it never blocks, and it is opened again when the interface comes back. Refuses to give up: a bus that
 //! is down, full, unplugged or off refuses frames, and the sender keeps and counts them. In bus-off the kernel goes on
-//! taking frames and loses them, so nothing is written then.
+//! taking frames and loses them, so nothing is written then. How the controller stands is heard from its error frames and
+//! asked for over netlink.
 
 use std::fs;
 use std::io;
 use std::time::Duration;
 
+use socketcan::nl::CanState;
 use socketcan::{
-    CanErrorFrame, CanFilter, CanSocket, EmbeddedFrame, Id, Socket, SocketOptions, StandardId,
+    CanErrorFrame, CanFdFrame, CanFdSocket, CanFilter, CanInterface, CanSocket, EmbeddedFrame, Id,
+    Socket, SocketOptions, StandardId,
 };
 
 use super::{BusState, CanFrame, LARGEST_ID, SinkError, WarningSink};
 
 /// Time between two attempts to open a socket on an interface that has gone.
 const REOPEN: Duration = Duration::from_millis(200);
+
+/// Time between two questions over netlink how the controller stands.
+const ASK: Duration = Duration::from_secs(1);
 
 /// Kinds of error frames that are listened for, and what the second data byte of a controller's says (`linux/can/error.h`).
 const CONTROLLER: u32 = 0x04;
@@ -35,24 +41,34 @@ pub struct SocketSink {
     interface: String,
     heard: Vec<u16>,
     socket: Option<CanSocket>,
+    /// For frames of CAN FD, while there is a way for them.
+    fd_socket: Option<CanFdSocket>,
+    ask_at: Duration,
     /// Drive time before which the socket is not opened again, and a bus that is off is not looked at again.
     reopen_at: Duration,
     state: BusState,
 }
 
 impl SocketSink {
-    /// Opens `interface`, which may be down but must be there, and hears the identifiers `heard`.
+    /// Opens `interface`, which may be down but must be there, and hears the identifiers `heard`; with `fd` it must be able
+    /// to send frames of CAN FD.
     ///
     /// # Errors
-    /// [`SinkError::Open`] when there is no such CAN interface.
-    pub fn open(interface: &str, heard: &[u16]) -> Result<Self, SinkError> {
+    /// [`SinkError::Open`] when there is no such CAN interface, or it has no CAN FD.
+    pub fn open(interface: &str, heard: &[u16], fd: bool) -> Result<Self, SinkError> {
         let name = format!("socketcan:{interface}");
-        match socket(interface, heard) {
-            Ok(socket) => Ok(Self {
+        let opened = socket(interface, heard).and_then(|socket| {
+            let fd_socket = fd.then(|| fd_socket(interface)).transpose()?;
+            Ok((socket, fd_socket))
+        });
+        match opened {
+            Ok((socket, fd_socket)) => Ok(Self {
                 name,
                 interface: interface.to_owned(),
                 heard: heard.to_vec(),
                 socket: Some(socket),
+                fd_socket,
+                ask_at: Duration::ZERO,
                 reopen_at: Duration::ZERO,
                 state: if carrier(interface) == Some(false) {
                     BusState::Off
@@ -102,6 +118,43 @@ impl SocketSink {
             self.reopen_at = at + REOPEN;
         }
         taken
+    }
+
+    fn write_fd(&mut self, id: u16, data: &[u8]) -> io::Result<()> {
+        // Whether the bus is there is found out by the frames that every car needs.
+        if self.socket.is_none() || self.state == BusState::Off {
+            return Ok(());
+        }
+        if self.fd_socket.is_none() {
+            self.fd_socket = Some(fd_socket(&self.interface)?);
+        }
+        let frame = StandardId::new(id).and_then(|id| CanFdFrame::new(id, data));
+        let frame = frame.ok_or(io::ErrorKind::InvalidInput)?;
+        let taken = (self.fd_socket.as_ref()).map_or(Ok(()), |socket| socket.write_frame(&frame));
+        if let Err(error) = &taken
+            && error.kind() != io::ErrorKind::WouldBlock
+            && !is_passing(error)
+        {
+            self.fd_socket = None;
+        }
+        taken
+    }
+
+    /// Asks the kernel how the controller stands, now and then. A virtual bus has no controller.
+    fn ask_state(&mut self, at: Duration) {
+        if at < self.ask_at {
+            return;
+        }
+        self.ask_at = at + ASK;
+        let state = CanInterface::open(&self.interface).and_then(|interface| interface.state());
+        match state {
+            Ok(Some(CanState::ErrorActive)) => self.hear_state(BusState::Active),
+            Ok(Some(CanState::ErrorWarning)) => self.hear_state(BusState::Warning),
+            Ok(Some(CanState::ErrorPassive)) => self.hear_state(BusState::Passive),
+            Ok(Some(CanState::BusOff)) => self.hear_state(BusState::Off),
+            // Down or asleep, or the interface has gone: sending finds that out.
+            Ok(Some(CanState::Stopped | CanState::Sleeping) | None) | Err(_) => {}
+        }
     }
 
     fn hear_state(&mut self, state: BusState) {
@@ -162,12 +215,36 @@ fn socket(interface: &str, heard: &[u16]) -> io::Result<CanSocket> {
     Ok(socket)
 }
 
+/// Sends frames of CAN FD and hears none.
+fn fd_socket(interface: &str) -> io::Result<CanFdSocket> {
+    const CLASSIC: &str = "16";
+    let mtu = fs::read_to_string(format!("/sys/class/net/{interface}/mtu"));
+    if mtu.is_ok_and(|mtu| mtu.trim() == CLASSIC) {
+        return Err(io::Error::other(
+            "it has no CAN FD; wanted `ip link set IFACE type can ... fd on` (of a virtual one `ip link set IFACE mtu 72`), or no fd = true in [can]",
+        ));
+    }
+    let socket = CanFdSocket::open(interface)?;
+    socket.set_nonblocking(true)?;
+    socket.set_filter_drop_all()?;
+    Ok(socket)
+}
+
 impl WarningSink for SocketSink {
     fn send(&mut self, at: Duration, frame: &CanFrame) -> Result<(), SinkError> {
+        self.ask_state(at);
         self.write(at, frame).map_err(|source| SinkError::Refused {
             sink: self.name.clone(),
             source,
         })
+    }
+
+    fn send_fd(&mut self, _at: Duration, id: u16, data: &[u8]) -> Result<(), SinkError> {
+        self.write_fd(id, data)
+            .map_err(|source| SinkError::Refused {
+                sink: self.name.clone(),
+                source,
+            })
     }
 
     fn bus_state(&self) -> BusState {
@@ -224,7 +301,7 @@ mod tests {
 
     #[test]
     fn an_interface_that_is_not_there_is_named() {
-        let refusal = SocketSink::open("nocan7", &[0x5D8]).err().unwrap();
+        let refusal = SocketSink::open("nocan7", &[0x5D8], false).err().unwrap();
         assert!(matches!(refusal, SinkError::Open { .. }));
         assert!(refusal.to_string().contains("socketcan:nocan7"));
     }

@@ -16,29 +16,29 @@ pub const LARGEST_COUNTER: u8 = 14;
 /// choice, the standard leaves it open.
 pub const LARGEST_STEP: u8 = 3;
 
-fn profile(data_id: u16) -> Profile11 {
+fn profile(data_id: u16, length: usize) -> Profile11 {
     Profile11::new(Profile11Config {
         mode: Profile11IdMode::Both,
         data_id,
         crc_offset: 0,
         counter_offset: 8,
-        data_length: 64,
+        data_length: u8::try_from(8 * length).unwrap_or(u8::MAX),
         ..Profile11Config::default()
     })
     .expect("a layout that profile 11 allows")
 }
 
-/// Protects the frames of one message.
+/// Protects the frames of one message, `LENGTH` bytes each: at most 30, what the profile allows.
 #[derive(Clone)]
-pub struct E2eSender {
+pub struct E2eSender<const LENGTH: usize = 8> {
     profile: Profile11,
 }
 
-impl E2eSender {
+impl<const LENGTH: usize> E2eSender<LENGTH> {
     /// The first frame has the counter 0.
     pub fn new(data_id: u16) -> Self {
         Self {
-            profile: profile(data_id),
+            profile: profile(data_id, LENGTH),
         }
     }
 
@@ -49,11 +49,11 @@ impl E2eSender {
     /// What `send` answers.
     pub fn protect<E>(
         &mut self,
-        mut data: [u8; 8],
-        send: impl FnOnce([u8; 8]) -> Result<(), E>,
+        mut data: [u8; LENGTH],
+        send: impl FnOnce([u8; LENGTH]) -> Result<(), E>,
     ) -> Result<(), E> {
         let mut next = self.profile.clone();
-        next.protect(&mut data).expect("a frame of 8 bytes");
+        next.protect(&mut data).expect("a frame of its length");
         send(data)?;
         self.profile = next;
         Ok(())
@@ -93,18 +93,18 @@ pub enum E2eError {
     },
 }
 
-/// Checks the frames of one message.
+/// Checks the frames of one message, `LENGTH` bytes each.
 #[derive(Clone)]
-pub struct E2eReceiver {
+pub struct E2eReceiver<const LENGTH: usize = 8> {
     profile: Profile11,
     last: Option<u8>,
 }
 
-impl E2eReceiver {
+impl<const LENGTH: usize> E2eReceiver<LENGTH> {
     /// Accepts any valid counter in the first frame.
     pub fn new(data_id: u16) -> Self {
         Self {
-            profile: profile(data_id),
+            profile: profile(data_id, LENGTH),
             last: None,
         }
     }
@@ -114,7 +114,7 @@ impl E2eReceiver {
     /// # Errors
     /// An [`E2eError`]; the frame is then to be ignored. After a jump the next frame in sequence
     /// is accepted again.
-    pub fn check(&mut self, data: &[u8; 8]) -> Result<Sequence, E2eError> {
+    pub fn check(&mut self, data: &[u8; LENGTH]) -> Result<Sequence, E2eError> {
         if self.profile.check(data) == Ok(E2EStatus::CrcError) {
             return Err(E2eError::Corrupt);
         }

@@ -57,7 +57,19 @@ impl WarningSink for LogSink {
             Out::Stream(out) => out,
             Out::File(file) => file,
         };
-        write_line(out, at, frame).map_err(|source| SinkError::Write {
+        write_line(out, at, frame.id, "#", &frame.data).map_err(|source| SinkError::Write {
+            sink: self.name.clone(),
+            source,
+        })
+    }
+
+    fn send_fd(&mut self, at: Duration, id: u16, data: &[u8]) -> Result<(), SinkError> {
+        let out: &mut dyn Write = match &mut self.out {
+            Out::Stream(out) => out,
+            Out::File(file) => file,
+        };
+        // Behind the second sign is a digit of flags: none.
+        write_line(out, at, id, "##0", data).map_err(|source| SinkError::Write {
             sink: self.name.clone(),
             source,
         })
@@ -73,15 +85,23 @@ impl WarningSink for LogSink {
     }
 }
 
-fn write_line(out: &mut dyn Write, at: Duration, frame: &CanFrame) -> io::Result<()> {
-    let data = u64::from_be_bytes(frame.data);
-    writeln!(
+fn write_line(
+    out: &mut dyn Write,
+    at: Duration,
+    id: u16,
+    sign: &str,
+    data: &[u8],
+) -> io::Result<()> {
+    write!(
         out,
-        "({:010}.{:06}) {INTERFACE} {:03X}#{data:016X}",
+        "({:010}.{:06}) {INTERFACE} {id:03X}{sign}",
         at.as_secs(),
         at.subsec_micros(),
-        frame.id,
-    )
+    )?;
+    for byte in data {
+        write!(out, "{byte:02X}")?;
+    }
+    writeln!(out)
 }
 
 #[cfg(test)]
@@ -114,16 +134,20 @@ mod tests {
     #[test]
     fn line_is_that_of_candump() {
         let mut line = Vec::new();
-        write_line(&mut line, Duration::from_millis(12_300), &FRAME).unwrap();
+        write_line(
+            &mut line,
+            Duration::from_millis(12_300),
+            FRAME.id,
+            "#",
+            &FRAME.data,
+        )
+        .unwrap();
         assert_eq!(String::from_utf8(line).unwrap(), LINE);
 
-        let frame = CanFrame {
-            id: 0x01F,
-            data: [0xFF; 8],
-        };
         let mut line = Vec::new();
-        write_line(&mut line, Duration::from_nanos(1_999), &frame).unwrap();
-        let wanted = "(0000000000.000001) can0 01F#FFFFFFFFFFFFFFFF\n";
+        let data = [0xFF, 0, 0x1A];
+        write_line(&mut line, Duration::from_nanos(1_999), 0x01F, "##0", &data).unwrap();
+        let wanted = "(0000000000.000001) can0 01F##0FF001A\n";
         assert_eq!(String::from_utf8(line).unwrap(), wanted);
     }
 

@@ -317,7 +317,7 @@ fn bus_of(code: BusCode) -> Option<BusState> {
 
 /// Nearest number of steps, 0 to `largest`; NaN and `None` are not available.
 #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss)]
-fn steps(value: Option<f64>, step: f64, largest: u8) -> u8 {
+pub(super) fn steps(value: Option<f64>, step: f64, largest: u8) -> u8 {
     match value {
         Some(value) if !value.is_nan() => {
             (value / step).round().clamp(0.0, f64::from(largest)) as u8

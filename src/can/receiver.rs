@@ -74,7 +74,8 @@ impl Receiver {
                 kmh.map(|kmh| kmh.abs() < speed.parked_below_kmh),
             ));
         }
-        let ours = [self.settings.status.id, self.settings.health.id];
+        let settings = &self.settings;
+        let ours = [settings.status.id, settings.health.id, settings.detail.id];
         ours.contains(&frame.id).then_some(Heard::Foreign(frame.id))
     }
 }

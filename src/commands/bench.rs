@@ -1,4 +1,6 @@
-//! `gapwatch bench`: time, memory and allocations of every stage from picture to CAN frame.
+//! `gapwatch bench`: time, memory and allocations of every stage from a camera's buffer to a CAN frame.
+
+mod buffers;
 
 use std::fs;
 use std::io::Write;
@@ -8,12 +10,14 @@ use anyhow::{Context, anyhow};
 use gapwatch::alarm::{Alarm, Judgement, Reason};
 use gapwatch::attention::{EnergyMap, common_size, energy_from_features};
 use gapwatch::calibration::{Domain, LabelledMeans, Wanted, calibrate};
+use gapwatch::camera_health::CameraHealth;
 use gapwatch::can::message::{GapHealth, GapStatus};
 use gapwatch::can::sender::StatusSender;
 use gapwatch::can::{CanFrame, CanSettings, SinkError, WarningSink};
 use gapwatch::detector::{Detector, Evidence};
 use gapwatch::encoder::{EncoderSession, products_in_registers};
 use gapwatch::energies::BlockMeans;
+use gapwatch::frame::pixels::Layout;
 use gapwatch::frame::{Frame, open};
 use gapwatch::intake::Intake;
 use gapwatch::pipeline::Monitor;
@@ -26,6 +30,7 @@ use serde::Serialize;
 use super::Model;
 use crate::args::{BenchArgs, TableFormat};
 use crate::counting;
+use buffers::buffer_of;
 
 /// Frames that are shown, over and over.
 const SHOWN: usize = 6;
@@ -40,7 +45,9 @@ const PEAK_PRODUCTS: u64 = 40_000_000;
 const PERIOD: Duration = Duration::from_millis(100);
 
 /// Names of the stages, in the order of the chain.
-const STAGES: [&str; 6] = [
+const STAGES: [&str; 8] = [
+    "capture",
+    "health",
     "preprocess",
     "encoder",
     "energy",
@@ -49,6 +56,9 @@ const STAGES: [&str; 6] = [
     "can",
 ];
 
+/// Place of the encoder among them.
+const ENCODER: usize = 3;
+
 /// What is written.
 #[derive(Serialize)]
 struct Bench {
@@ -56,6 +66,7 @@ struct Bench {
     threads: usize,
     model: String,
     frame: String,
+    pixels: String,
     frames: u64,
     stages: Vec<Stage>,
     encoder_ms: f64,
@@ -99,7 +110,7 @@ struct Measured {
 }
 
 pub fn run(args: &BenchArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
-    let (frames, render) = pictures(args)?;
+    let (shown, render) = buffers(args)?;
     let began = Instant::now();
     let model = Model::load_in(&args.model, args.executor.into())?;
     let shipped = Reference::read(None)
@@ -111,13 +122,14 @@ pub fn run(args: &BenchArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
         None => made_for(&model)?,
     };
     let began = Instant::now();
-    let first = frames.first().context("the drive has no frames")?;
-    Monitor::new(&model.encoder, &reference)?.step(first);
+    let (layout, bytes) = shown.first().context("the drive has no frames")?;
+    let first = frame_of(0, Duration::ZERO, *layout, bytes)?;
+    Monitor::new(&model.encoder, &reference)?.step(&first);
     let start = loaded + began.elapsed();
 
     let measured = std::thread::scope(|scope| {
         let threads: Vec<_> = (0..args.threads)
-            .map(|_| scope.spawn(|| measure(&model, &reference, &frames)))
+            .map(|_| scope.spawn(|| measure(&model, &reference, &shown)))
             .collect();
         threads
             .into_iter()
@@ -136,22 +148,35 @@ pub fn run(args: &BenchArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
     Ok(0)
 }
 
-/// The first frames of a rendered drive of the asked size, and the median time that rendering one took.
-fn pictures(args: &BenchArgs) -> anyhow::Result<(Vec<Frame>, Duration)> {
+/// A camera's buffer.
+type Shown = (Layout, Vec<u8>);
+
+/// What a camera would give of the first frames of a rendered drive, and the median time that rendering one took.
+fn buffers(args: &BenchArgs) -> anyhow::Result<(Vec<Shown>, Duration)> {
     let (width, height) = (args.frame.width, args.frame.height);
     let mut source = open(&format!("scene:sim?seed=7&seconds=3&size={width}x{height}"))?;
-    let (mut frames, mut took) = (Vec::new(), Vec::new());
+    let (mut shown, mut took) = (Vec::new(), Vec::new());
     loop {
         let began = Instant::now();
         let Some(frame) = source.next_frame()? else {
             break;
         };
         took.push(began.elapsed());
-        if frames.len() < SHOWN {
-            frames.push(frame);
+        if shown.len() < SHOWN {
+            shown.push(buffer_of(&frame.picture?.picture(), args.pixels.into())?);
         }
     }
-    Ok((frames, quantile(took, 50)))
+    Ok((shown, quantile(took, 50)))
+}
+
+/// A frame as the camera's source makes it of a buffer.
+fn frame_of(sequence: u64, at: Duration, layout: Layout, bytes: &[u8]) -> anyhow::Result<Frame> {
+    let pixels = layout.pixels(bytes).map_err(|why| anyhow!(why))?;
+    Ok(Frame {
+        sequence,
+        captured_at: at,
+        picture: Ok(pixels),
+    })
 }
 
 /// A reference for a model that has none: of two short drives, enough to have something to compare with.
@@ -186,6 +211,7 @@ fn made_for(model: &Model) -> anyhow::Result<Reference> {
 /// The chain with a clock between its stages.
 struct Stages<'a> {
     reference: &'a Reference,
+    camera: CameraHealth,
     preprocessor: Preprocessor,
     session: EncoderSession,
     maps: Vec<EnergyMap>,
@@ -208,12 +234,12 @@ impl WarningSink for Swallow {
     }
 }
 
-fn measure(model: &Model, reference: &Reference, frames: &[Frame]) -> anyhow::Result<Measured> {
+fn measure(model: &Model, reference: &Reference, shown: &[Shown]) -> anyhow::Result<Measured> {
     let mut stages = Stages::new(model, reference)?;
     let mut samples = Vec::new();
     let mut cpu_before = None;
     let began = Instant::now();
-    for (index, frame) in (0..WARM_UP + FRAMES_MAX).zip(frames.iter().cycle()) {
+    for (index, (layout, bytes)) in (0..WARM_UP + FRAMES_MAX).zip(shown.iter().cycle()) {
         if index == WARM_UP {
             cpu_before = cpu_time();
         }
@@ -221,9 +247,7 @@ fn measure(model: &Model, reference: &Reference, frames: &[Frame]) -> anyhow::Re
             break;
         }
         let now = PERIOD * u32::try_from(index)?;
-        let sample = stages
-            .step(now, frame)
-            .map_err(|why| anyhow!("a rendered frame cannot be judged: {why}"))?;
+        let sample = stages.step(index, now, *layout, bytes)?;
         if index >= WARM_UP {
             samples.push(sample);
         }
@@ -242,6 +266,7 @@ impl<'a> Stages<'a> {
         let detector = Detector::new(reference);
         Ok(Self {
             reference,
+            camera: CameraHealth::default(),
             preprocessor: Preprocessor::new(of),
             session: model.encoder.session()?,
             maps: vec![EnergyMap::default(); taps],
@@ -255,30 +280,41 @@ impl<'a> Stages<'a> {
         })
     }
 
-    /// One frame through the stages of `Monitor::step` and the sender; the check of the camera is not among them.
-    fn step(&mut self, now: Duration, frame: &Frame) -> Result<Sample, Undefined> {
-        let picture = frame
-            .picture
-            .as_ref()
-            .map_err(|error| Undefined::Corrupt(error.to_string()))?;
+    /// One frame through the camera's source, the stages of `Monitor::step` and the sender.
+    fn step(
+        &mut self,
+        sequence: u64,
+        now: Duration,
+        layout: Layout,
+        bytes: &[u8],
+    ) -> anyhow::Result<Sample> {
+        let cannot = |why: Undefined| anyhow!("a rendered frame cannot be judged: {why}");
         let mut clock = Clock::start();
 
-        let input = self.preprocessor.input(picture)?;
+        let frame = frame_of(sequence, now, layout, bytes)?;
         clock.lap();
 
-        let features = self.session.run(input).map_err(Undefined::Encoder)?;
+        self.camera.check(&frame).map_err(cannot)?;
+        clock.lap();
+
+        let pixels = frame.picture?;
+        let input = self.preprocessor.input(&pixels).map_err(cannot)?;
+        clock.lap();
+
+        let features = self.session.run(input).map_err(|why| anyhow!(why))?;
         clock.lap();
 
         let blocks = self.maps.iter_mut().zip(&mut self.means);
         for (features, (map, means)) in features.iter().zip(blocks) {
-            energy_from_features("", features, map)?;
+            energy_from_features("", features, map).map_err(cannot)?;
             means.take(features);
         }
         clock.lap();
 
         let components = &self.reference.components;
         self.intake
-            .take(&self.maps, &self.means, components, &mut self.taken)?;
+            .take(&self.maps, &self.means, components, &mut self.taken)
+            .map_err(cannot)?;
         clock.lap();
 
         let evidence = self.detector.observe(now, &self.taken);
@@ -392,12 +428,17 @@ fn summary(
         threads: args.threads,
         model: model.spec.name.clone(),
         frame: format!("{}x{}", args.frame.width, args.frame.height),
+        pixels: args.pixels.to_string(),
         frames: samples.len() as u64,
-        encoder_ms: stages[1].median_ms,
+        encoder_ms: stages[ENCODER].median_ms,
         render_ms: ms(render),
         executor: model.encoder.executor(),
-        encoder_gflops: (model.encoder.products())
-            .map(|products| gflops(products, Duration::from_secs_f64(stages[1].median_ms / 1e3))),
+        encoder_gflops: (model.encoder.products()).map(|products| {
+            gflops(
+                products,
+                Duration::from_secs_f64(stages[ENCODER].median_ms / 1e3),
+            )
+        }),
         peak_gflops: peak_gflops(),
         stages,
         frame_ms: ms(quantile(whole.clone(), 50)),
@@ -486,12 +527,13 @@ fn table(bench: &Bench, out: &mut dyn Write) -> anyhow::Result<()> {
         model,
         threads,
         frame,
+        pixels,
         frames,
         ..
     } = bench;
     writeln!(
         out,
-        "{machine}\n{model}, {frames} frames of {frame}, {threads} at a time"
+        "{machine}\n{model}, {frames} frames of {frame} {pixels}, {threads} at a time"
     )?;
     writeln!(
         out,

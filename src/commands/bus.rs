@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+use gapwatch::can::detail::{DetailSender, GapDetail};
 use gapwatch::can::message::{GapHealth, GapStatus};
 use gapwatch::can::receiver::{Heard, Receiver};
 use gapwatch::can::sender::StatusSender;
@@ -18,6 +19,8 @@ pub const COMPLAINT: Duration = Duration::from_secs(1);
 pub struct Bus {
     sender: StatusSender,
     receiver: Receiver,
+    details: Option<DetailSender>,
+    detail: GapDetail,
     sink: Box<dyn WarningSink>,
     health: Health,
     strict: bool,
@@ -36,6 +39,8 @@ impl Bus {
         settings.check()?;
         Ok(Self {
             sink: sink.open(&settings)?,
+            details: DetailSender::new(&settings),
+            detail: GapDetail::default(),
             receiver: Receiver::new(&settings),
             sender: StatusSender::new(settings)?,
             health: Health::default(),
@@ -79,6 +84,14 @@ impl Bus {
             frame_age: self.judged_at.map(age),
         };
         self.window_fill = verdict.window_fill;
+        self.detail = GapDetail {
+            window_frames: verdict.window_frames,
+            nominal_domain: verdict.nominal_domain,
+            drift: verdict.drift,
+            quality: verdict.quality,
+            similarities: std::array::from_fn(|tap| Some(verdict.blocks.get(tap)?.similarity)),
+            scores: block_scores,
+        };
         self.sender.update(now, &status);
         self.tell_health_of(now, verdict.at);
         self.poll(now)
@@ -110,7 +123,12 @@ impl Bus {
 
     /// Sends what fell due up to `now`. A bus that takes nothing is no end: the sender keeps and counts what waits.
     pub fn poll(&mut self, now: Duration) -> anyhow::Result<()> {
-        match self.sender.poll(now, self.sink.as_mut()) {
+        let sink = self.sink.as_mut();
+        let mut polled = self.sender.poll(now, sink);
+        if let (Ok(()), Some(details)) = (&polled, &mut self.details) {
+            polled = details.poll(now, &self.detail, sink);
+        }
+        match polled {
             Err(SinkError::Refused { sink, source }) => {
                 if self.complained_at.is_none_or(|at| now >= at + COMPLAINT) {
                     self.complained_at = Some(now);

@@ -21,6 +21,7 @@ use gapwatch::frame::{FrameSource, SourceError, open_camera};
 use gapwatch::journal::Journal;
 use gapwatch::model::ModelOptions;
 use gapwatch::pipeline::{Monitor, Verdict};
+use gapwatch::rate::{Periods, RatePolicy, WantedPeriod};
 use gapwatch::reference::Reference;
 use gapwatch::undefined::Undefined;
 use signal_hook::consts::{SIGINT, SIGTERM};
@@ -35,7 +36,7 @@ const TICK: Duration = Duration::from_millis(10);
 /// How long the judge waits for a frame before it looks at the clock.
 const PATIENCE: Duration = Duration::from_millis(50);
 /// Without a word of the judge for this long the bus is told that there is no verdict: 500 ms, as for a camera that gives
-/// no frame, and the judge's patience.
+/// no frame, and the judge's patience; more when frames are taken more slowly.
 const SILENT: Duration = Duration::from_millis(550);
 /// A verdict on a frame this old comes too late to warn of anything: as long as without any verdict.
 const LATE: Duration = Duration::from_millis(500);
@@ -55,10 +56,12 @@ pub fn run(args: &MonitorArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
     let name = board.monitor.reference.as_deref();
     let name = name.map_or_else(|| "built-in".to_owned(), |path| path.display().to_string());
     reference.check_fits(&name, &model.fingerprint)?;
+    let periods = periods(&board, &reference, &args.board)?;
+    let wanted = Arc::new(WantedPeriod::new(periods.full));
     let source = open_camera(
         &board.camera.source,
         &board.camera.wish,
-        board.monitor.rate_hz,
+        Arc::clone(&wanted),
     )?;
     let journal = args
         .journal
@@ -78,11 +81,7 @@ pub fn run(args: &MonitorArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
     let limit = args.seconds.map(|s| Duration::from_secs(s.into()));
     let newest = Arc::new(Newest::default());
     // A camera gives no more frames than are asked for, and each is judged as soon as it is there.
-    let period = if source.is_live() {
-        Duration::ZERO
-    } else {
-        Duration::from_secs_f64(1.0 / board.monitor.rate_hz)
-    };
+    let live = source.is_live();
     let clear = AtomicBool::new(false);
     let cleared = AtomicBool::new(false);
     let speed = board.can.settings.speed.as_ref();
@@ -97,15 +96,17 @@ pub fn run(args: &MonitorArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
             clear: &clear,
             cleared: &cleared,
             parked: &parked,
+            wanted: &wanted,
             began,
         };
         let (model, reference) = (&model, &reference);
-        let judge = scope.spawn(move || judge(shared, model, reference, period, verdicts));
+        let judge = scope.spawn(move || judge(shared, model, reference, periods, live, verdicts));
         let mut teller = Teller {
             bus,
             journal,
             last: nothing_yet(),
             last_told: Duration::ZERO,
+            silent: SILENT.max(periods.idle * 3 / 2 + PATIENCE),
             parking: Parking::new(parked_after),
             complained_at: Duration::ZERO,
             out,
@@ -119,6 +120,25 @@ pub fn run(args: &MonitorArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
         judged.map_err(|_| anyhow::anyhow!("the judge of frames ended by an internal error"))??;
         Ok(0)
     })
+}
+
+/// The board's rates. A window must hold more than one of the slow frames, so that none of them is a hole in time.
+fn periods(board: &Board, reference: &Reference, file: &Path) -> anyhow::Result<Periods> {
+    let period = |rate_hz: f64| Duration::from_secs_f64(1.0 / rate_hz);
+    let periods = Periods {
+        full: period(board.monitor.rate_hz),
+        idle: period(board.monitor.idle_rate_hz),
+    };
+    if periods.idle.as_secs_f64() > reference.window_s {
+        bail!(
+            "{}: idle_rate_hz = {}, but the reference has windows of {} s; wanted at least {:.2} frames a second",
+            file.display(),
+            board.monitor.idle_rate_hz,
+            reference.window_s,
+            1.0 / reference.window_s
+        );
+    }
+    Ok(periods)
 }
 
 /// A reference made of simulation alone is a standing gap on a road, so a board must ask for it.
@@ -196,18 +216,22 @@ struct Shared<'a> {
     /// It was obeyed.
     cleared: &'a AtomicBool,
     parked: &'a AtomicBool,
+    /// Time from one frame to the next.
+    wanted: &'a WantedPeriod,
     began: Instant,
 }
 
-/// Judges the newest frame, again and again, and rests for `period` from one to the next.
+/// Judges the newest frame, again and again; of a source that is not `live` it rests from one to the next.
 fn judge(
     shared: Shared<'_>,
     model: &Model,
     reference: &Reference,
-    period: Duration,
+    periods: Periods,
+    live: bool,
     verdicts: Sender<Told>,
 ) -> anyhow::Result<()> {
-    let mut monitor = Monitor::new(&model.encoder, reference)?;
+    let mut monitor = Monitor::new(&model.encoder, reference)?.with_frames_every(periods.idle);
+    let mut policy = RatePolicy::new(periods);
     let mut next = Duration::ZERO;
     while !shared.stop.load(Ordering::Relaxed) {
         let taken = shared.newest.take(PATIENCE);
@@ -221,7 +245,10 @@ fn judge(
         let verdict = match taken {
             Taken::Ended(how) => return Ok(how?),
             // Nobody looks, but the newest frame is taken, so that none is old when the car drives off.
-            _ if shared.parked.load(Ordering::Relaxed) => None,
+            _ if shared.parked.load(Ordering::Relaxed) => {
+                shared.wanted.set(periods.idle);
+                None
+            }
             Taken::Frame(frame) => {
                 if let Some(silence) = monitor.silence(frame.captured_at) {
                     tell(&verdicts, silence, shared.newest);
@@ -232,9 +259,11 @@ fn judge(
         };
         if let Some(verdict) = verdict {
             let frame = verdict.sequence.is_some();
+            let period = policy.after(verdict.at, verdict.state, verdict.score);
+            shared.wanted.set(period);
             tell(&verdicts, verdict, shared.newest);
             // Slept in advance of the next frame, which is then the newest.
-            if frame {
+            if frame && !live {
                 let now = shared.began.elapsed();
                 next = (next + period).max(now);
                 std::thread::sleep((next - now).min(PATIENCE.max(period)));
@@ -260,7 +289,11 @@ fn in_time(verdict: Verdict, latency: Duration) -> Verdict {
         reason: Reason::Lagging,
         undefined: Some(Undefined::Late(latency)),
         score: None,
+        quality: None,
         blocks: heapless::Vec::new(),
+        window_frames: None,
+        nominal_domain: None,
+        drift: None,
         ..verdict
     }
 }
@@ -273,7 +306,11 @@ fn nothing_yet() -> Verdict {
         reason: Reason::Starting,
         undefined: None,
         score: None,
+        quality: None,
         blocks: heapless::Vec::new(),
+        window_frames: None,
+        nominal_domain: None,
+        drift: None,
         window_fill: None,
         fault_detection_counter: 0,
         gap_stored: false,
@@ -286,6 +323,8 @@ struct Teller<'a> {
     journal: Option<Journal>,
     last: Verdict,
     last_told: Duration,
+    /// Without a word of the judge for this long there is no verdict.
+    silent: Duration,
     parking: Parking,
     complained_at: Duration,
     out: &'a mut dyn Write,
@@ -330,7 +369,7 @@ impl Teller<'_> {
                 (cleared.at, cleared.sequence, cleared.gap_stored) = (now, None, false);
                 self.tell(now, &cleared, Duration::ZERO)?;
             }
-            if now.saturating_sub(self.last_told) > SILENT && !unjudged {
+            if now.saturating_sub(self.last_told) > self.silent && !unjudged {
                 let silent = self.without_frame(now, Reason::Stale, Some(Undefined::Silence));
                 self.tell(now, &silent, Duration::ZERO)?;
             }

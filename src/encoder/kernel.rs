@@ -92,6 +92,11 @@ impl Kernel {
         kernels
     }
 
+    /// The fastest that this processor can run.
+    pub fn fastest() -> Self {
+        Self::available().first().copied().unwrap_or(Self::Portable)
+    }
+
     /// For people.
     pub fn name(self) -> &'static str {
         match self {

@@ -7,6 +7,7 @@ use rayon::prelude::*;
 use crate::alarm::Reason;
 use crate::calibration::DriveScores;
 use crate::encoder::{Encoder, EncoderError};
+use crate::frame::pixels::Pixels;
 use crate::frame::{Frame, Picture};
 use crate::pipeline::Monitor;
 use crate::reference::Reference;
@@ -104,11 +105,11 @@ impl Script {
             let verdict = monitor.step(&Frame {
                 sequence,
                 captured_at: Duration::from_secs_f64(at_s),
-                picture: Ok(Picture {
+                picture: Ok(Pixels::from(Picture {
                     width: of.width,
                     height: of.height,
                     rgb,
-                }),
+                })),
             });
             match (verdict.score, &verdict.undefined) {
                 (Some(score), _) => {

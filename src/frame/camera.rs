@@ -18,9 +18,10 @@ use v4l::video::Capture;
 use v4l::video::capture::Parameters;
 use v4l::{Device, Format, FourCC, Fraction};
 
-use super::pixels::{Layout, PixelFormat};
+use super::pixels::{Layout, PixelFormat, Pixels};
 use super::{Frame, FrameSource, PictureError, SourceError};
 use crate::board::{CAMERA_FORMATS, CameraWish};
+use crate::rate::{Pace, WantedPeriod};
 
 /// Buffers of the driver: one being filled, one waiting, one being read, one to spare.
 const BUFFERS: u32 = 4;
@@ -46,24 +47,9 @@ pub struct CameraSource {
     waited: Duration,
     counts: Counts,
     began: Instant,
+    /// Frames that nobody will judge are not copied.
     pace: Pace,
-}
-
-/// Which frames are looked at: those that nobody will judge are not converted.
-struct Pace {
-    period: Duration,
-    next: Duration,
-}
-
-impl Pace {
-    fn is_due(&mut self, now: Duration) -> bool {
-        // A camera's frames do not come on our grid: a quarter too early is on time.
-        let due = now + self.period / 4 >= self.next;
-        if due {
-            self.next = (self.next + self.period).max(now + self.period * 3 / 4);
-        }
-        due
-    }
+    period: Arc<WantedPeriod>,
 }
 
 /// What went wrong since the start.
@@ -109,11 +95,15 @@ impl Drop for OpenCamera {
 }
 
 impl CameraSource {
-    /// Opens `device`, asking for `wish`, and gives `rate_hz` frames a second at most.
+    /// Opens `device`, asking for `wish`, and gives a frame every `period` at most.
     ///
     /// # Errors
     /// When there is no such camera, or none of the formats that are understood is granted.
-    pub fn open(device: &str, wish: &CameraWish, rate_hz: f64) -> Result<Self, SourceError> {
+    pub fn open(
+        device: &str,
+        wish: &CameraWish,
+        period: Arc<WantedPeriod>,
+    ) -> Result<Self, SourceError> {
         let open = open(device, wish).map_err(|why| SourceError::Camera {
             device: device.to_owned(),
             why,
@@ -129,10 +119,8 @@ impl CameraSource {
             waited: Duration::ZERO,
             counts: Counts::default(),
             began: Instant::now(),
-            pace: Pace {
-                period: Duration::from_secs_f64(1.0 / rate_hz),
-                next: Duration::ZERO,
-            },
+            pace: Pace::default(),
+            period,
         })
     }
 
@@ -225,19 +213,20 @@ impl FrameSource for CameraSource {
                 self.open_again();
                 continue;
             };
-            let (picture, stamp) = match open.read(|| self.pace.is_due(self.began.elapsed())) {
-                Ok(Some(read)) => read,
-                Ok(None) => {
-                    self.counts.damaged += 1;
-                    continue;
-                }
-                Err(error) if error.kind() == io::ErrorKind::Interrupted => continue,
-                Err(error) => {
-                    log::warn!("{}: {error}; {:?}", self.device, self.counts);
-                    self.open = None;
-                    continue;
-                }
-            };
+            let (picture, stamp) =
+                match open.read(|| self.pace.is_due(self.began.elapsed(), self.period.get())) {
+                    Ok(Some(read)) => read,
+                    Ok(None) => {
+                        self.counts.damaged += 1;
+                        continue;
+                    }
+                    Err(error) if error.kind() == io::ErrorKind::Interrupted => continue,
+                    Err(error) => {
+                        log::warn!("{}: {error}; {:?}", self.device, self.counts);
+                        self.open = None;
+                        continue;
+                    }
+                };
             self.back_off = BACK_OFF.0;
             self.sequence += self.step(&stamp);
             let now = self.began.elapsed();
@@ -271,7 +260,7 @@ impl FrameSource for CameraSource {
 }
 
 /// A picture, if it is wanted, or what was wrong with it; and what the driver says of it.
-type Read = (Option<Result<super::Picture, String>>, Stamp);
+type Read = (Option<Result<Pixels, String>>, Stamp);
 
 impl OpenCamera {
     /// The next picture; `None` for a damaged one.
@@ -292,7 +281,7 @@ impl OpenCamera {
             number: meta.sequence,
             taken_at: monotonic(meta),
         };
-        let picture = is_wanted().then(|| self.layout.picture(bytes));
+        let picture = is_wanted().then(|| self.layout.pixels(bytes));
         Ok(Some((picture, stamp)))
     }
 }
@@ -438,31 +427,10 @@ mod tests {
     }
 
     #[test]
-    fn frames_are_looked_at_at_the_wanted_rate_whatever_the_cameras_is() {
-        for (fps, rate, frames) in [
-            (30.0, 10.0, 101),
-            (24.0, 10.0, 100),
-            (30.0, 30.0, 301),
-            (9.0, 10.0, 91),
-        ] {
-            let mut pace = Pace {
-                period: Duration::from_secs_f64(1.0 / rate),
-                next: Duration::ZERO,
-            };
-            let times = (0..).map(|n| Duration::from_secs_f64(f64::from(n) / fps));
-            let ten_seconds = times.take_while(|time| *time <= Duration::from_millis(10_001));
-            let due: Vec<Duration> = ten_seconds.filter(|time| pace.is_due(*time)).collect();
-            let found = due.len().abs_diff(frames);
-            assert!(found <= 1, "{} of {fps} frames a second", due.len());
-            let longest = due.windows(2).map(|pair| pair[1] - pair[0]).max();
-            assert!(longest.is_some_and(|pause| pause.as_secs_f64() < 1.3 / rate.min(fps)));
-        }
-    }
-
-    #[test]
     fn what_is_no_camera_is_named_with_the_reason() {
         for device in ["/dev/video-of-nobody", "/dev/null"] {
-            let error = CameraSource::open(device, &CameraWish::default(), 10.0);
+            let period = Arc::new(WantedPeriod::new(Duration::from_millis(100)));
+            let error = CameraSource::open(device, &CameraWish::default(), period);
             let said = error.err().unwrap().to_string();
             assert!(said.starts_with(device), "{said}");
         }

@@ -1,5 +1,6 @@
 //! A rendered drive as a frame source.
 
+use super::pixels::Pixels;
 use super::{Frame, FrameSource, Picture, SourceError, time_of};
 use crate::scene::{Drive, DriveSpec, Renderer};
 
@@ -40,11 +41,11 @@ impl FrameSource for DriveSource {
         Ok(Some(Frame {
             sequence,
             captured_at,
-            picture: Ok(Picture {
+            picture: Ok(Pixels::from(Picture {
                 width: self.size_px.0,
                 height: self.size_px.1,
                 rgb,
-            }),
+            })),
         }))
     }
 

@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader};
 
 use super::names::name_order;
+use super::pixels::Pixels;
 use super::{
     FOLDER_FPS, Frame, FrameSource, PIXELS_MAX, Picture, PictureError, SourceError, time_of,
 };
@@ -70,7 +71,7 @@ impl FrameSource for ImageSource {
         };
         let sequence = self.next as u64;
         self.next += 1;
-        let picture = read(path).map_err(|found| PictureError {
+        let picture = read(path).map(Pixels::from).map_err(|found| PictureError {
             path: path.clone(),
             found,
             wanted: "a whole PNG or JPEG image",

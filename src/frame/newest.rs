@@ -72,17 +72,18 @@ impl Newest {
 mod tests {
     use super::*;
     use crate::frame::Picture;
+    use crate::frame::pixels::Pixels;
 
     fn frame(sequence: u64) -> Frame {
         let rgb = vec![];
         Frame {
             sequence,
             captured_at: Duration::ZERO,
-            picture: Ok(Picture {
+            picture: Ok(Pixels::from(Picture {
                 width: 0,
                 height: 0,
                 rgb,
-            }),
+            })),
         }
     }
 

@@ -1,7 +1,9 @@
-//! Buffers of cameras → RGB pictures.
+//! What a source gives, byte by byte: RGB, or the formats of cameras.
 //!
 //! Owns the pixel formats. YCbCr is taken as BT.601 of limited range, what cameras with these formats send unless they say
 //! otherwise; colours of a camera that sends BT.709 are slightly off.
+
+use std::sync::Arc;
 
 use super::{PIXELS_MAX, Picture};
 
@@ -32,6 +34,15 @@ impl PixelFormat {
             _ => None,
         }
     }
+
+    /// Bytes of pixels in a row; of NV12 in each of its planes.
+    fn row_bytes(self, width: usize) -> usize {
+        match self {
+            Self::Yuyv => 4 * width.div_ceil(2),
+            Self::Nv12 => 2 * width.div_ceil(2),
+            Self::Rgb3 | Self::Bgr3 | Self::Mjpg => 3 * width,
+        }
+    }
 }
 
 /// What a camera has granted.
@@ -47,70 +58,47 @@ pub struct Layout {
     pub stride: u32,
 }
 
+/// A picture as its source gave it, never compressed; whole, and cheap to copy.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Pixels {
+    layout: Layout,
+    bytes: Arc<Vec<u8>>,
+}
+
 impl Layout {
-    /// The picture in a buffer.
+    /// The pixels in a camera's buffer, which is copied or, if it holds a JPEG image, decoded.
     ///
     /// # Errors
     /// What is wrong with the buffer: too short, or no JPEG image of the granted size.
-    pub fn picture(&self, bytes: &[u8]) -> Result<Picture, String> {
+    pub fn pixels(&self, bytes: &[u8]) -> Result<Pixels, String> {
         let Self {
             format,
             width,
             height,
-            stride,
+            ..
         } = *self;
         if width == 0 || height == 0 || u64::from(width) * u64::from(height) > PIXELS_MAX {
             return Err(format!("{width}x{height} pixels"));
         }
         if format == PixelFormat::Mjpg {
-            return self.decode(bytes);
+            return self.decode(bytes).map(Pixels::from);
         }
         let (width, height) = (width as usize, height as usize);
-        let row_bytes = match format {
-            PixelFormat::Yuyv => 4 * width.div_ceil(2),
-            PixelFormat::Nv12 => 2 * width.div_ceil(2),
-            _ => 3 * width,
-        };
-        let stride = (stride as usize).max(row_bytes);
+        let row_bytes = format.row_bytes(width);
+        let stride = (self.stride as usize).max(row_bytes);
         let rows = match format {
             PixelFormat::Nv12 => height + height.div_ceil(2),
             _ => height,
         };
         // The last row may end with its pixels.
         let wanted = stride * (rows - 1) + row_bytes;
-        if bytes.len() < wanted {
-            return Err(format!(
-                "a buffer of {} bytes, wanted {wanted}",
-                bytes.len()
-            ));
-        }
-        let mut rgb = Vec::with_capacity(3 * width * height);
-        for y in 0..height {
-            let row = &bytes[y * stride..][..row_bytes];
-            match format {
-                PixelFormat::Yuyv => {
-                    for x in 0..width {
-                        let pair = &row[x / 2 * 4..][..4];
-                        rgb.extend(rgb_from(pair[x % 2 * 2], pair[1], pair[3]));
-                    }
-                }
-                PixelFormat::Nv12 => {
-                    let colours = &bytes[(height + y / 2) * stride..][..row_bytes];
-                    for (x, &luma) in row[..width].iter().enumerate() {
-                        let pair = &colours[x / 2 * 2..][..2];
-                        rgb.extend(rgb_from(luma, pair[0], pair[1]));
-                    }
-                }
-                PixelFormat::Bgr3 => {
-                    rgb.extend(row.chunks_exact(3).flat_map(|bgr| [bgr[2], bgr[1], bgr[0]]));
-                }
-                PixelFormat::Rgb3 | PixelFormat::Mjpg => rgb.extend_from_slice(row),
-            }
-        }
-        Ok(Picture {
-            width: self.width,
-            height: self.height,
-            rgb,
+        let whole = bytes
+            .get(..wanted)
+            .ok_or_else(|| format!("a buffer of {} bytes, wanted {wanted}", bytes.len()))?;
+        let stride = u32::try_from(stride).map_err(|_| format!("rows of {stride} bytes"))?;
+        Ok(Pixels {
+            layout: Self { stride, ..*self },
+            bytes: Arc::new(whole.to_vec()),
         })
     }
 
@@ -130,6 +118,150 @@ impl Layout {
             height,
             rgb: decoded.into_raw(),
         })
+    }
+}
+
+/// A picture without all of its pixels becomes one of no size at all.
+impl From<Picture> for Pixels {
+    fn from(picture: Picture) -> Self {
+        let whole = picture.rgb.len() == 3 * picture.width as usize * picture.height as usize;
+        let (width, height, bytes) = match whole {
+            true => (picture.width, picture.height, picture.rgb),
+            false => (0, 0, vec![]),
+        };
+        let layout = Layout {
+            format: PixelFormat::Rgb3,
+            width,
+            height,
+            stride: width.saturating_mul(3),
+        };
+        Self {
+            layout,
+            bytes: Arc::new(bytes),
+        }
+    }
+}
+
+/// Luma of black and of white, BT.601 of limited range.
+const LUMA: (u8, u8) = (16, 235);
+
+/// Where a row's brightness lies: one byte in every `step`, from the first on. All bytes of an RGB row tell of it.
+#[derive(Clone, Copy, Debug)]
+pub struct Brightness {
+    /// Bytes from one to the next.
+    pub step: usize,
+    /// Bytes a pixel.
+    pub a_pixel: usize,
+    /// The bytes of black and of white.
+    pub range: (u8, u8),
+}
+
+impl Brightness {
+    /// A byte, or a mean of some, on the scale 0..255 of black to white.
+    pub fn of_255(&self, byte: u64) -> u8 {
+        let (black, white) = (u64::from(self.range.0), u64::from(self.range.1));
+        let level = byte.saturating_sub(black) * 255 / (white - black);
+        u8::try_from(level).unwrap_or(u8::MAX)
+    }
+}
+
+impl Pixels {
+    /// How the bytes are laid out; the stride is never left open.
+    pub fn layout(&self) -> Layout {
+        self.layout
+    }
+
+    /// All bytes, [`Layout::stride`] a row.
+    pub fn bytes(&self) -> &[u8] {
+        &self.bytes
+    }
+
+    /// Where brightness lies in [`rows`](Self::rows).
+    pub fn brightness(&self) -> Brightness {
+        let (step, a_pixel, range) = match self.layout.format {
+            PixelFormat::Yuyv => (2, 2, LUMA),
+            PixelFormat::Nv12 => (1, 1, LUMA),
+            PixelFormat::Rgb3 | PixelFormat::Bgr3 | PixelFormat::Mjpg => (1, 3, (0, 255)),
+        };
+        Brightness {
+            step,
+            a_pixel,
+            range,
+        }
+    }
+
+    /// Rows of pixels without what lies beside them; of NV12 those of luma.
+    pub fn rows(&self) -> impl Iterator<Item = &[u8]> {
+        let Brightness { a_pixel, .. } = self.brightness();
+        let row_bytes = a_pixel * self.layout.width as usize;
+        let rows = self.bytes.chunks((self.layout.stride as usize).max(1));
+        rows.take(self.layout.height as usize)
+            .map(move |row| &row[..row_bytes.min(row.len())])
+    }
+
+    /// Whether nothing is brighter than `level`, of 255.
+    pub fn is_at_most(&self, level: u8) -> bool {
+        let brightness = self.brightness();
+        let is_dark = |&byte: &u8| brightness.of_255(byte.into()) <= level;
+        let mut rows = self.rows();
+        rows.all(|row| row.iter().step_by(brightness.step).all(is_dark))
+    }
+
+    /// Whether all pixels are of one colour.
+    pub fn is_uniform(&self) -> bool {
+        let group = match self.layout.format {
+            PixelFormat::Yuyv => 4,
+            PixelFormat::Nv12 => 1,
+            PixelFormat::Rgb3 | PixelFormat::Bgr3 | PixelFormat::Mjpg => 3,
+        };
+        let same = |row: &[u8]| row.chunks_exact(group).all(|g| g == &self.bytes[..group]);
+        let (width, height) = (self.layout.width as usize, self.layout.height as usize);
+        match self.layout.format {
+            PixelFormat::Yuyv if width > 1 && self.bytes[0] != self.bytes[2] => false,
+            PixelFormat::Nv12 if self.rows().all(same) => {
+                let stride = self.layout.stride as usize;
+                let colours = self.bytes[height * stride..].chunks(stride);
+                let pair = &self.bytes[height * stride..][..2];
+                let mut pairs = colours.flat_map(|row| row.chunks_exact(2).take(width.div_ceil(2)));
+                pairs.all(|uv| uv == pair)
+            }
+            _ => self.rows().all(same),
+        }
+    }
+
+    /// In RGB, for people.
+    pub fn picture(&self) -> Picture {
+        let (width, height) = (self.layout.width as usize, self.layout.height as usize);
+        let stride = self.layout.stride as usize;
+        let mut rgb = Vec::with_capacity(3 * width * height);
+        for (y, row) in self.rows().enumerate() {
+            match self.layout.format {
+                PixelFormat::Yuyv => {
+                    // An odd row ends in half a pair, whose colours are there.
+                    let whole = &self.bytes[y * stride..][..4 * width.div_ceil(2)];
+                    for x in 0..width {
+                        let pair = &whole[x / 2 * 4..][..4];
+                        rgb.extend(rgb_from(pair[x % 2 * 2], pair[1], pair[3]));
+                    }
+                }
+                PixelFormat::Nv12 => {
+                    let colours = &self.bytes[(height + y / 2) * stride..];
+                    for (x, &luma) in row.iter().enumerate() {
+                        let pair = &colours[x / 2 * 2..][..2];
+                        rgb.extend(rgb_from(luma, pair[0], pair[1]));
+                    }
+                }
+                PixelFormat::Bgr3 => {
+                    rgb.extend(row.chunks_exact(3).flat_map(|bgr| [bgr[2], bgr[1], bgr[0]]));
+                }
+                PixelFormat::Rgb3 | PixelFormat::Mjpg => rgb.extend_from_slice(row),
+            }
+        }
+        Picture {
+            width: self.layout.width,
+            height: self.layout.height,
+            rgb,
+        }
     }
 }
 
@@ -210,17 +342,17 @@ mod tests {
             (PixelFormat::Bgr3, vec![packed(a), packed(b)]),
         ] {
             let bytes = padded(rows, 16);
-            let picture = layout(format, 3, 2, 16).picture(&bytes).unwrap();
-            assert_eq!(picture.rgb, rgb, "{format:?}");
-            let short = layout(format, 3, 2, 16).picture(&bytes[..17]).unwrap_err();
+            let picture = layout(format, 3, 2, 16).pixels(&bytes).unwrap();
+            assert_eq!(picture.picture().rgb, rgb, "{format:?}");
+            let short = layout(format, 3, 2, 16).pixels(&bytes[..17]).unwrap_err();
             assert!(short.contains("17 bytes"), "{short}");
         }
     }
 
     #[test]
     fn blue_comes_first_in_bgr() {
-        let picture = layout(PixelFormat::Bgr3, 1, 1, 0).picture(&[1, 2, 3]);
-        assert_eq!(picture.unwrap().rgb, [3, 2, 1]);
+        let picture = layout(PixelFormat::Bgr3, 1, 1, 0).pixels(&[1, 2, 3]);
+        assert_eq!(picture.unwrap().picture().rgb, [3, 2, 1]);
     }
 
     #[test]
@@ -231,18 +363,18 @@ mod tests {
             .unwrap();
         let jpeg = jpeg.into_inner();
         let of = |width| layout(PixelFormat::Mjpg, width, 16, 0);
-        let picture = of(32).picture(&jpeg).unwrap();
+        let picture = of(32).pixels(&jpeg).unwrap().picture();
         assert!(picture.rgb[0].abs_diff(200) <= 3);
-        assert!(of(64).picture(&jpeg).unwrap_err().contains("32x16"));
-        assert!(of(32).picture(&jpeg[..20]).is_err());
-        assert!(of(32).picture(&[]).is_err());
+        assert!(of(64).pixels(&jpeg).unwrap_err().contains("32x16"));
+        assert!(of(32).pixels(&jpeg[..20]).is_err());
+        assert!(of(32).pixels(&[]).is_err());
     }
 
     #[test]
     fn impossible_sizes_are_refused() {
         for (width, height) in [(0, 4), (4, 0), (u32::MAX, u32::MAX)] {
             for format in [PixelFormat::Yuyv, PixelFormat::Mjpg] {
-                assert!(layout(format, width, height, 0).picture(&[0; 64]).is_err());
+                assert!(layout(format, width, height, 0).pixels(&[0; 64]).is_err());
             }
         }
     }

@@ -1,5 +1,6 @@
 //! Pictures of random pixels: the far end of every table of gaps.
 
+use super::pixels::Pixels;
 use super::{Frame, FrameSource, Picture, SourceError, time_of};
 
 const SIZE: (u32, u32) = (320, 160);
@@ -64,11 +65,11 @@ impl FrameSource for RandomSource {
         Ok(Some(Frame {
             sequence,
             captured_at,
-            picture: Ok(Picture {
+            picture: Ok(Pixels::from(Picture {
                 width: SIZE.0,
                 height: SIZE.1,
                 rgb,
-            }),
+            })),
         }))
     }
 

@@ -8,6 +8,7 @@ use std::process::{Child, ChildStdout, Command, Stdio};
 
 use serde::Deserialize;
 
+use super::pixels::Pixels;
 use super::{Frame, FrameSource, PIXELS_MAX, Picture, SourceError, time_of};
 
 /// Nothing but local files is opened, whatever a playlist says.
@@ -173,7 +174,7 @@ impl FrameSource for VideoSource {
         Ok(Some(Frame {
             sequence,
             captured_at,
-            picture: Ok(Picture { width, height, rgb }),
+            picture: Ok(Pixels::from(Picture { width, height, rgb })),
         }))
     }
 
