@@ -304,6 +304,9 @@ pub struct EvaluateArgs {
     /// File that gets the result as JSON too; of a file that is there, only what is evaluated is replaced
     #[arg(long, value_name = "FILE")]
     pub out: Option<PathBuf>,
+    /// Draw speed_error as an SVG picture too
+    #[arg(long, value_name = "FILE.svg")]
+    pub plot: Option<PathBuf>,
     /// Show the results in these files instead of evaluating
     #[arg(long, value_name = "FILE", num_args = 1.., conflicts_with_all = ["model", "quick", "reference", "drives", "hours", "scenes", "field", "out"])]
     pub from: Vec<PathBuf>,
@@ -334,6 +337,9 @@ pub enum EvaluateKey {
     /// Whether the gap foretells that the lane model fails, by metric and baseline
     #[value(name = "lane_failure")]
     LaneFailure,
+    /// Cost of a judged second against what is missed, by model, taps, window and frame rate
+    #[value(name = "speed_error")]
+    SpeedError,
     /// How well each metric tells other roads' image sets from a simulation's; needs --field
     #[value(name = "field_sets")]
     FieldSets,

@@ -4,6 +4,7 @@ mod bench;
 mod bus;
 mod calibrate;
 mod compare;
+mod cpu_time;
 mod evaluate;
 mod inspect;
 mod merge;
@@ -77,6 +78,10 @@ impl Model {
 
     fn load_file(file: Option<&Path>, options: ModelOptions) -> anyhow::Result<Self> {
         Self::of_spec(ModelSpec::new(file, options)?, Executor::default())
+    }
+
+    fn load_spec(spec: &ModelSpec) -> anyhow::Result<Self> {
+        Self::of_spec(spec.clone(), Executor::default())
     }
 
     fn of_spec(spec: ModelSpec, executor: Executor) -> anyhow::Result<Self> {

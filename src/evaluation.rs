@@ -11,6 +11,7 @@ pub mod lane_failure;
 pub mod paper_table;
 mod resampling;
 pub mod separation;
+pub mod speed_error;
 pub mod watched;
 
 use rayon::prelude::*;

@@ -1,6 +1,6 @@
 //! `gapwatch bench`: time, memory and allocations of every stage from a camera's buffer to a CAN frame.
 
-mod buffers;
+pub(super) mod buffers;
 
 use std::fs;
 use std::io::Write;
@@ -28,6 +28,7 @@ use gapwatch::undefined::Undefined;
 use serde::Serialize;
 
 use super::Model;
+use super::cpu_time::cpu_time;
 use crate::args::{BenchArgs, TableFormat};
 use crate::counting;
 use buffers::buffer_of;
@@ -180,7 +181,7 @@ fn frame_of(sequence: u64, at: Duration, layout: Layout, bytes: &[u8]) -> anyhow
 }
 
 /// A reference for a model that has none: of two short drives, enough to have something to compare with.
-fn made_for(model: &Model) -> anyhow::Result<Reference> {
+pub(super) fn made_for(model: &Model) -> anyhow::Result<Reference> {
     let drives = ["scene:sim?seed=1&seconds=3", "scene:sim?seed=2&seconds=3"].map(str::to_owned);
     let surveys = model.survey(&drives, Keep::Maps, "making a reference")?;
     let domain = Domain {
@@ -494,18 +495,6 @@ fn machine() -> String {
         std::env::consts::OS,
         std::env::consts::ARCH
     )
-}
-
-/// CPU time of this thread so far, to 10 ms, from Linux.
-fn cpu_time() -> Option<Duration> {
-    let text = fs::read_to_string("/proc/thread-self/stat").ok()?;
-    // The program's name, in parentheses, may hold spaces; `utime` and `stime` are the fields 14 and 15.
-    let mut after_name = text.rsplit_once(')')?.1.split_whitespace().skip(11);
-    let (user, system): (u64, u64) = (
-        after_name.next()?.parse().ok()?,
-        after_name.next()?.parse().ok()?,
-    );
-    Some(Duration::from_millis(10 * (user + system)))
 }
 
 /// Memory of this program in use now.

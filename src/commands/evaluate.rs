@@ -12,12 +12,13 @@ mod lane_iou;
 mod paper_table;
 mod results;
 mod sheet;
+mod speed_error;
 mod watched;
 
 use std::io::Write;
 use std::path::PathBuf;
 
-use anyhow::bail;
+use anyhow::{Context, bail};
 use clap::ValueEnum;
 use gapwatch::encoder::Encoder;
 use gapwatch::model::{ModelOptions, ModelSpec};
@@ -83,6 +84,11 @@ pub fn run(args: &EvaluateArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
     } else {
         None
     };
+    let family = if wanted(EvaluateKey::SpeedError) {
+        speed_error::models(&args.model)?
+    } else {
+        Vec::new()
+    };
     let store = args.out.as_deref().map(Store::open).transpose()?;
     if args.field.is_none() && args.only.is_none() {
         log::warn!(
@@ -110,6 +116,10 @@ pub fn run(args: &EvaluateArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
             (EvaluateKey::LaneFailure, ..) => {
                 let Some(failing) = &failing else { continue };
                 let rows = lane_failure::rows(failing, args)?;
+                results.set(key, &rows, &command::made(key, args))?;
+            }
+            (EvaluateKey::SpeedError, ..) => {
+                let rows = speed_error::rows(&family, args)?;
                 results.set(key, &rows, &command::made(key, args))?;
             }
             (EvaluateKey::FieldSets, _, Some(field)) if field.has_images() => {
@@ -155,6 +165,7 @@ fn page(results: &Results, key: EvaluateKey) -> anyhow::Result<Option<Page>> {
         EvaluateKey::LaneFailure => {
             page_of(results, key, lane_failure::ABOUT, lane_failure::sheets)
         }
+        EvaluateKey::SpeedError => page_of(results, key, speed_error::ABOUT, speed_error::sheets),
         EvaluateKey::FieldSets => page_of(results, key, field_sets::ABOUT, field_sets::sheets),
         EvaluateKey::PaperTable => page_of(results, key, paper_table::ABOUT, paper_table::sheets),
     }
@@ -174,6 +185,11 @@ fn page_of<T: DeserializeOwned>(
 }
 
 fn show(results: &Results, args: &EvaluateArgs, out: &mut dyn Write) -> anyhow::Result<()> {
+    if let Some(path) = &args.plot {
+        let rows = results.rows(EvaluateKey::SpeedError)?;
+        let rows = rows.context("--plot draws speed_error, which is not among the results")?;
+        speed_error::plot(&rows, path)?;
+    }
     match args.format {
         ResultsFormat::Json => out.write_all(results.to_json()?.as_bytes())?,
         ResultsFormat::Csv => {

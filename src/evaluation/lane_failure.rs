@@ -44,7 +44,7 @@ const FAILURE: f64 = 0.5;
 /// Loss of lane IoU over the whole condition up to which a shift is benign.
 const BENIGN: f64 = 0.1;
 /// Severity from which on a condition is to be found, failure or not.
-const SEVERE: f32 = 3.0;
+pub(super) const SEVERE: f32 = 3.0;
 /// Length of the window, seconds.
 const WINDOW_S: f64 = 1.0;
 /// Of the quicker forecast.
@@ -56,6 +56,21 @@ pub const RATES_PER_HOUR: [f64; 2] = [1.0, 0.1];
 
 /// First seeds: drives that make references, that set and judge thresholds, that teach `lane-risk`, and that are judged.
 pub const FIRST_SEEDS: [u64; 4] = [60_001, 61_001, 62_001, 63_001];
+
+/// Seeds of what is rendered, in words.
+pub fn seeds_of(sizes: Sizes) -> String {
+    let Sizes {
+        fitted,
+        held_out,
+        labelled,
+        roads,
+        ..
+    } = sizes;
+    let [a, b, c, d] = FIRST_SEEDS;
+    format!(
+        "references {a} and {fitted} drives on, thresholds {b} and {held_out} on, lane-risk {c} and {labelled} on, judged {d} and {roads} on"
+    )
+}
 
 /// How many drives are looked at.
 #[derive(Clone, Copy, Debug)]
@@ -177,19 +192,19 @@ pub enum LaneFailureError {
 }
 
 /// Everything that was looked at, once for all methods.
-struct Looked {
+pub(super) struct Looked {
     taps: Vec<String>,
-    fitted: Vec<LabelledSurvey>,
-    held_out: Vec<LabelledSurvey>,
-    labelled: Vec<(ConditionKind, LabelledMeans)>,
-    judged: Vec<Judged>,
+    pub(super) fitted: Vec<LabelledSurvey>,
+    pub(super) held_out: Vec<LabelledSurvey>,
+    pub(super) labelled: Vec<(ConditionKind, LabelledMeans)>,
+    pub(super) judged: Vec<Judged>,
 }
 
 /// A drive with a condition.
-struct Judged {
+pub(super) struct Judged {
     road: usize,
-    condition: Condition,
-    drive: LabelledSurvey,
+    pub(super) condition: Condition,
+    pub(super) drive: LabelledSurvey,
     /// Loss of each second; `None` where the lanes are too faint in plain day.
     losses: Vec<Option<f64>>,
     /// The condition costs next to nothing.
@@ -341,7 +356,7 @@ struct Judge {
 }
 
 impl Looked {
-    fn at(
+    pub(super) fn at(
         taps: &[String],
         encoder: &Encoder,
         preprocessing: &Preprocessing,
@@ -572,13 +587,18 @@ fn pooled(overlaps: impl Iterator<Item = Overlap>) -> Overlap {
     })
 }
 
+/// When a condition begins to grow, seconds.
+pub(super) fn onset_s() -> f64 {
+    FULL_S - RAMP_S
+}
+
 /// Entries into `Gap` of one drive.
-struct Entered {
+pub(super) struct Entered {
     at_s: Vec<f64>,
 }
 
 impl Entered {
-    fn of(scores: &DriveScores, factor: f64) -> Self {
+    pub(super) fn of(scores: &DriveScores, factor: f64) -> Self {
         let mut before = AlarmState::Init;
         let entries = scores.states(factor).filter_map(|(at, state)| {
             let entered = state == AlarmState::Gap && before != AlarmState::Gap;
@@ -592,18 +612,17 @@ impl Entered {
 
     /// Entries after the condition began to grow.
     fn in_condition(&self) -> bool {
-        let began = FULL_S - RAMP_S;
-        self.at_s.iter().any(|&at| at >= began && at <= GONE_S)
+        self.at_s.iter().any(|&at| at >= onset_s() && at <= GONE_S)
     }
 
     /// An entry at most 2 s after the condition has its severity. The portal of a tunnel is in sight all the while before.
-    fn soon(&self, kind: ConditionKind) -> bool {
+    pub(super) fn soon(&self, kind: ConditionKind) -> Option<f64> {
         let from = match kind {
             ConditionKind::Tunnel => 0.0,
-            _ => FULL_S - RAMP_S,
+            _ => onset_s(),
         };
         let soon = from..=FULL_S + WITHIN_S;
-        self.at_s.iter().any(|at| soon.contains(at))
+        self.at_s.iter().copied().find(|at| soon.contains(at))
     }
 
     /// The entry that warns of a failure, at most `after_s` after its onset.
@@ -619,7 +638,7 @@ impl LaneFailure {
         for (judged, entered) in drives {
             if judged.condition.severity >= SEVERE {
                 self.severe += 1;
-                self.severe_found += u64::from(entered.soon(judged.condition.kind));
+                self.severe_found += u64::from(entered.soon(judged.condition.kind).is_some());
             }
             let alarmed = entered.in_condition();
             self.alarmed += u64::from(alarmed);
@@ -664,13 +683,13 @@ fn share(of: u64, all: u64) -> Option<f64> {
 }
 
 /// Scores and losses of seconds under a condition, by road.
-struct Ranks {
+pub(super) struct Ranks {
     by_road: Vec<Vec<(f64, f64)>>,
     unjudged: u64,
 }
 
 impl Ranks {
-    fn of(drives: &[(&Judged, DriveScores, usize)]) -> Self {
+    pub(super) fn of(drives: &[(&Judged, DriveScores, usize)]) -> Self {
         let roads = drives.iter().map(|(judged, ..)| judged.road + 1).max();
         let mut ranks = Self {
             by_road: vec![Vec::new(); roads.unwrap_or(0)],
@@ -679,7 +698,7 @@ impl Ranks {
         for (judged, scores, _) in drives {
             for (second, loss) in judged.losses.iter().enumerate() {
                 #[allow(clippy::cast_precision_loss)]
-                let under = (FULL_S - RAMP_S..GONE_S).contains(&(second as f64));
+                let under = (onset_s()..GONE_S).contains(&(second as f64));
                 let Some(loss) = loss.filter(|_| under) else {
                     continue;
                 };
@@ -694,6 +713,11 @@ impl Ranks {
             }
         }
         ranks
+    }
+
+    /// Over all roads.
+    pub(super) fn auroc(&self) -> Option<f64> {
+        auroc(&self.by_road.concat())
     }
 
     fn row(&self, method: Method) -> LaneFailure {

@@ -21,7 +21,8 @@ from decimal import Decimal
 import cantools
 from e2e.p11 import E2E_P11_DATAID_BOTH, e2e_p11_check
 
-LINE = re.compile(r"\((\d{10}\.\d{6})\) (\S+) ([0-9A-F]{3})#((?:[0-9A-F]{2}){8})\n")
+# A second sign and a digit of flags: a frame of CAN FD.
+LINE = re.compile(r"\((\d{10}\.\d{6})\) (\S+) ([0-9A-F]{3})#(?:#[0-9A-F])?((?:[0-9A-F]{2})+)\n")
 COUNTERS = 15
 CYCLIC = ("Cyclic", "CyclicAndEvent")
 

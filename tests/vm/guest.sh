@@ -18,8 +18,10 @@ chmod +x /bin/gapwatch
 # mark WORD: at most 8 characters, in a frame of their own.
 mark() { cansend vcan1 7F0#"$(printf %s "$1" | od -An -tx1 | tr -d ' \n')"; }
 
+# With CAN FD.
 bus_up() {
   $ip link add "$1" type vcan
+  $ip link set "$1" mtu 72
   $ip link set "$1" up
 }
 
@@ -97,6 +99,54 @@ drive_off() {
   sending=$!
 }
 
+# The source of the picture comes back with another one, 720x480.
+other_format() {
+  control disconnect=1
+  sleep .05
+  timings=index=2
+  camera_on
+  player &
+}
+first_format() {
+  control disconnect=1
+  sleep .05
+  timings=index=5
+  camera_on
+  player &
+}
+
+# random N: 0 to N-1, from the seed.
+random() {
+  seed=$(((seed * 1103515245 + 12345) & 0x7fffffff))
+  echo $((seed / 65536 % $1))
+}
+
+# soak SEED SECONDS: faults at random, each with a nominal road behind it, which must be long enough for any.
+soak() {
+  seed=$1
+  until=$(($(date +%s) + $2))
+  while [ "$(date +%s)" -lt $until ]; do
+    lasting=$((1 + $(random 2))).$(random 10)
+    seed=$(((seed * 1103515245 + 12345) & 0x7fffffff))
+    case $((seed / 65536 % 13)) in
+      0) show black && sleep $lasting && show nominal ;;
+      1) show grey && sleep $lasting && show nominal ;;
+      2) show frozen && sleep $lasting && show nominal ;;
+      3) show covered && sleep $lasting && show nominal ;;
+      4) mark damaged && damage && sleep .3 && mark nominal ;;
+      5) mark fatal && break_both inject_fatal_streaming_error=1 && sleep .3 && mark nominal ;;
+      6) mark stall && control percentage_of_dropped_buffers=100 && sleep $lasting && mark nominal && control percentage_of_dropped_buffers=0 ;;
+      7) mark unplug && unplug && sleep $lasting && mark nominal && plug_in ;;
+      8) mark busdown && $ip link set vcan0 down && sleep $lasting && mark nominal && $ip link set vcan0 up ;;
+      9) mark busgone && $ip link del vcan0 && sleep $lasting && mark nominal && bus_up vcan0 ;;
+      10) mark paused && kill -STOP $monitor && sleep $lasting && mark nominal && kill -CONT $monitor ;;
+      *) show night && sleep 4 && show nominal && sleep 2 ;;
+    esac
+    sleep 3.5
+    grep VmRSS /proc/$monitor/status >>soak-memory.log
+  done
+}
+
 unplug() { echo vivid.0 >/sys/bus/platform/drivers/vivid/unbind; }
 plug_in() {
   echo vivid.0 >/sys/bus/platform/drivers/vivid/bind
@@ -151,6 +201,9 @@ during offline break_both disconnect=1
 over true
 during unplug unplug
 over plug_in
+during format other_format
+sleep 1
+over first_format
 during busdown $ip link set vcan0 down
 over $ip link set vcan0 up
 during busfull $tc qdisc add dev vcan0 root tbf rate 1kbit burst 32 limit 64
@@ -231,6 +284,17 @@ date -s "2031-01-01 00:00:00" >/dev/null
 wait $monitor
 echo $? >clock.code
 mark end2
+# The clip's player is where the second format left it; the times of the log begin anew.
+read -r soak_seed soak_seconds <soak
+mark soak
+RUST_LOG=warn gapwatch monitor --board car.toml >soak.out 2>soak.err &
+monitor=$!
+sleep 4
+soak "$soak_seed" "$soak_seconds"
+mark soaked
+kill -TERM $monitor
+wait $monitor
+echo $? >soak.code
 sleep .2
 touch quiet
 kill -INT $logging

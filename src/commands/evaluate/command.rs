@@ -6,7 +6,7 @@ use gapwatch::evaluation::{SCENE_SET, domain_detection, false_alarms};
 use gapwatch::scene::Look;
 
 use super::results::Made;
-use super::{field_sets, lane_failure, paper_table};
+use super::{field_sets, lane_failure, paper_table, speed_error};
 use crate::args::{EvaluateArgs, EvaluateKey};
 
 /// How the folder of image sets is named, wherever it lies.
@@ -21,6 +21,7 @@ pub fn made(key: EvaluateKey, args: &EvaluateArgs) -> Made {
         }
         EvaluateKey::FalseAlarms => format!("drives {} and on", false_alarms::FIRST_SEED),
         EvaluateKey::LaneFailure => lane_failure::seeds(args.quick),
+        EvaluateKey::SpeedError => speed_error::seeds(args.quick),
         EvaluateKey::FieldSets => field_sets::seeds(args.quick),
         EvaluateKey::PaperTable => paper_table::seeds(args.quick),
     };
@@ -45,7 +46,7 @@ fn command(key: EvaluateKey, args: &EvaluateArgs) -> String {
         EvaluateKey::LaneIou => number("scenes", args.scenes),
         EvaluateKey::DomainDetection => number("drives", args.drives),
         EvaluateKey::FalseAlarms => number("hours", args.hours),
-        EvaluateKey::LaneFailure => None,
+        EvaluateKey::LaneFailure | EvaluateKey::SpeedError => None,
         EvaluateKey::FieldSets => Some(FIELD.to_owned()),
         EvaluateKey::PaperTable => args.field.as_ref().map(|_| FIELD.to_owned()),
     });

@@ -76,17 +76,7 @@ pub fn rows(judged: &Judged, args: &EvaluateArgs) -> anyhow::Result<Vec<Row<Lane
 
 /// Seeds of what is rendered.
 pub fn seeds(quick: bool) -> String {
-    let Sizes {
-        fitted,
-        held_out,
-        labelled,
-        roads,
-        ..
-    } = sizes(quick);
-    let [a, b, c, d] = lane_failure::FIRST_SEEDS;
-    format!(
-        "references {a} and {fitted} drives on, thresholds {b} and {held_out} on, lane-risk {c} and {labelled} on, judged {d} and {roads} on"
-    )
+    lane_failure::seeds_of(sizes(quick))
 }
 
 /// A table of what does not depend on a rate, then one a rate.
