@@ -223,7 +223,7 @@ fn logged(share: &Path) -> Vec<Logged> {
             let bus = words.next().unwrap();
             let (id, data) = words.next().unwrap().split_once('#').unwrap();
             // Of CAN FD, behind a second sign and a digit of flags.
-            let data = data.strip_prefix("#0").unwrap_or(data);
+            let data = data.strip_prefix('#').map_or(data, |of_fd| &of_fd[1..]);
             let bytes = (0..data.len()).step_by(2);
             Logged {
                 at: at.parse().unwrap(),

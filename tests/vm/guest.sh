@@ -253,7 +253,7 @@ sleep .2
 $ip link set "$(cat adapter)" name can0
 $ip link set can0 type can bitrate 500000
 $ip link set can0 up
-sed 's/vcan0/can0/' car.toml >adapter.toml
+sed 's/vcan0/can0/; /^fd = true$/d' car.toml >adapter.toml
 mark adapter
 RUST_LOG=info gapwatch monitor --board adapter.toml >adapter.out 2>adapter.err &
 monitor=$!
