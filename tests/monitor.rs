@@ -1,5 +1,9 @@
 //! `gapwatch monitor` in real time: the cycle of the bus, its first and last word, and what it refuses.
-#![allow(clippy::unwrap_used, clippy::cast_possible_truncation)]
+#![allow(
+    clippy::unwrap_used,
+    clippy::cast_possible_truncation,
+    clippy::cast_precision_loss
+)]
 
 mod program;
 
@@ -110,6 +114,46 @@ fn the_cycle_goes_on_when_no_frame_comes_and_says_so() {
             .iter()
             .all(|(_, status)| status.state != AlarmState::Ok)
     );
+}
+
+#[test]
+fn a_clear_road_is_looked_at_slowly_and_anything_else_at_full_rate() {
+    let folder = tempfile::tempdir().unwrap();
+    // The fog begins to grow at 9 s.
+    let source = "scene:sim?seed=7&seconds=13&fps=30&condition=fog:4@11-13";
+    let board = board(source) + "rate_hz = 10\nidle_rate_hz = 2.0\n";
+    let args = ["--journal", "drive.jsonl"];
+    let done = monitor(folder.path(), &board, &args)
+        .wait_with_output()
+        .unwrap();
+    assert!(done.status.success(), "{done:?}");
+    let read = gapwatch::journal::read(&folder.path().join("drive.jsonl")).unwrap();
+    let seen: Vec<(f64, f64)> = (read.entries.iter())
+        .filter_map(|entry| Some((entry.t_s, entry.sequence.and(entry.score)?)))
+        .collect();
+    let rate = |from: f64, to: f64| {
+        let within = seen.iter().filter(|(at, _)| (from..to).contains(at));
+        within.count() as f64 / (to - from)
+    };
+    assert!(rate(1.0, 5.0) > 5.0, "at first {} a second", rate(1.0, 5.0));
+    assert!(rate(7.0, 9.0) < 3.1, "clear {} a second", rate(7.0, 9.0));
+    let (first, _) = seen
+        .iter()
+        .find(|(at, score)| *at > 9.0 && *score > 0.5)
+        .unwrap();
+    let next = seen.iter().find(|(at, _)| at > first).unwrap().0;
+    assert!(
+        next - first < 0.35,
+        "the next frame {} s later",
+        next - first
+    );
+    assert!(
+        rate(*first, 12.5) > 5.0,
+        "then {} a second",
+        rate(*first, 12.5)
+    );
+    // A slow road is no silence.
+    assert!(read.entries.iter().all(|entry| entry.reason != "stale"));
 }
 
 #[test]

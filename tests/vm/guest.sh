@@ -286,8 +286,9 @@ echo $? >clock.code
 mark end2
 # The clip's player is where the second format left it; the times of the log begin anew.
 read -r soak_seed soak_seconds <soak
+sed 's/^rate_hz = 10$/rate_hz = 10\nidle_rate_hz = 5/' car.toml >idle.toml
 mark soak
-RUST_LOG=warn gapwatch monitor --board car.toml >soak.out 2>soak.err &
+RUST_LOG=warn gapwatch monitor --board idle.toml >soak.out 2>soak.err &
 monitor=$!
 sleep 4
 soak "$soak_seed" "$soak_seconds"
