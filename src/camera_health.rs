@@ -8,6 +8,7 @@
 use std::ops::Range;
 use std::time::Duration;
 
+use crate::encoder::Kernel;
 use crate::frame::Frame;
 use crate::frame::pixels::Pixels;
 use crate::undefined::Undefined;
@@ -132,14 +133,19 @@ impl CameraHealth {
         let columns = width * brightness.a_pixel / brightness.step;
         self.columns.resize(columns, Column::default());
         let row_of = |cell: usize| cell * height / down;
+        let kernel = Kernel::fastest();
         for (n, cells) in self.cells.chunks_exact_mut(across).enumerate() {
             let rows = row_of(n)..row_of(n + 1);
             for some in rows.clone().step_by(ROWS_MAX) {
                 let some = some..rows.end.min(some + ROWS_MAX);
-                match brightness.step {
-                    2 => add_up::<2, 64>(pixels, some.clone(), &mut self.columns),
-                    _ => add_up::<1, 64>(pixels, some.clone(), &mut self.columns),
-                }
+                let (rows, columns) = (some.clone(), &mut self.columns);
+                kernel.vectorised(
+                    #[inline(always)]
+                    || match brightness.step {
+                        2 => add_up::<2, 64>(pixels, rows, columns),
+                        _ => add_up::<1, 64>(pixels, rows, columns),
+                    },
+                );
                 let a_pixel = brightness.a_pixel / brightness.step;
                 for (column, cell) in cells.iter_mut().enumerate() {
                     let edge = |column: usize| column * width / across * a_pixel;
@@ -174,6 +180,7 @@ struct Column {
 }
 
 /// Adds up rows of which every `STEP`-th byte counts, `BYTES` of each at a time.
+#[inline(always)]
 fn add_up<const STEP: usize, const BYTES: usize>(
     pixels: &Pixels,
     rows: Range<usize>,

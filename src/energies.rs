@@ -1,5 +1,7 @@
 //! Frame → energy maps of the tapped blocks: preprocessing, encoder and attention in one stage with its buffers.
 
+use std::ops::Range;
+
 use serde::{Deserialize, Serialize};
 
 use crate::attention::{EnergyMap, common_size, energy_from_features};
@@ -141,18 +143,13 @@ impl BlockMeans {
         let maps = features.activations.chunks_exact((height * width).max(1));
         let means = self.activation.iter_mut().zip(of_channels);
         for (map, (activation, energy)) in maps.zip(means) {
-            let mut sum = 0.0;
-            let mut squares = [0.0; CELLS];
+            let mut sums = [[0.0; 2]; CELLS];
             for (y, row) in map.chunks_exact(width).enumerate() {
                 let first = y * GRID / height * GRID;
-                for (square, columns) in squares[first..][..GRID].iter_mut().zip(&columns) {
-                    for &a in &row[columns.clone()] {
-                        sum += f64::from(a);
-                        *square += f64::from(a) * f64::from(a);
-                    }
-                }
+                add_row(row, &columns, &mut sums[first..][..GRID]);
             }
-            *activation = sum * pixels;
+            let squares = sums.map(|[_, square]| square);
+            *activation = sums.iter().map(|[sum, _]| sum).sum::<f64>() * pixels;
             *energy = squares.iter().sum::<f64>() * pixels;
             for ((cell, square), pixels) in of_cells.iter_mut().zip(squares).zip(pixels_of) {
                 *cell += (square * pixels).sqrt().sqrt();
@@ -161,6 +158,32 @@ impl BlockMeans {
         for cell in of_cells {
             *cell = (*cell * reciprocal(channels)).powi(4);
         }
+    }
+}
+
+/// Adds a row's values and their squares to the sums of its cells. Cells of one width are added to side by side, since each
+/// sum must wait for the value before.
+fn add_row(row: &[f32], columns: &[Range<usize>; GRID], sums: &mut [[f64; 2]]) {
+    let add = |[sum, squares]: &mut [f64; 2], a: f32| {
+        let a = f64::from(a);
+        *sum += a;
+        *squares += a * a;
+    };
+    let width = columns[0].len();
+    if columns.iter().all(|cell| cell.len() == width)
+        && let Ok(sums) = <&mut [[f64; 2]; GRID]>::try_from(&mut *sums)
+    {
+        let mut own = *sums;
+        for x in 0..width {
+            for (cell, sums) in own.iter_mut().enumerate() {
+                add(sums, row[cell * width + x]);
+            }
+        }
+        *sums = own;
+        return;
+    }
+    for (sums, columns) in sums.iter_mut().zip(columns) {
+        row[columns.clone()].iter().for_each(|&a| add(sums, a));
     }
 }
 

@@ -1,5 +1,6 @@
 //! What the encoder saw → how dark, flat, clipped and blurred it is: numbers to read beside a verdict, never a verdict.
 
+use crate::encoder::Kernel;
 use crate::preprocess::Preprocessing;
 
 /// Luma at most this much from black or white is clipped, of 1: two steps of 255, what rounding and resizing leave of a
@@ -46,30 +47,41 @@ impl QualityMeter {
 
     /// Of the encoder's input, `[3, height, width]`, normalised RGB.
     pub fn measure(&mut self, input: &[f32]) -> ImageQuality {
-        let pixels = self.luma.len().max(1);
+        let mut measured = ImageQuality::default();
+        Kernel::fastest().vectorised(
+            #[inline(always)]
+            || measured = self.measure_with_vectors(input),
+        );
+        measured
+    }
+
+    #[inline(always)]
+    fn measure_with_vectors(&mut self, input: &[f32]) -> ImageQuality {
+        let pixels = self.luma.len();
         let (red, rest) = input.split_at(pixels);
         let (green, blue) = rest.split_at(pixels);
         let [r, g, b] = self.shares;
-        let colours = red.iter().zip(green).zip(blue);
-        for (luma, ((red, green), blue)) in self.luma.iter_mut().zip(colours) {
-            *luma = self.offset + r * red + g * green + b * blue;
-        }
-        let clipped = sum_of(&self.luma, |luma| {
-            f32::from(u8::from((luma - 0.5).abs() >= 0.5 - CLIPPED))
-        });
-        let (sum, squares) = (
-            sum_of(&self.luma, |luma| luma),
-            sum_of(&self.luma, |luma| luma * luma),
-        );
-        let mut edges = 0.0;
-        for three in 0..(pixels / self.width).saturating_sub(2) {
-            let row = |n: usize| &self.luma[(three + n) * self.width..][..self.width];
-            let (above, here, below) = (row(0), row(1), row(2));
-            for x in 1..self.width - 1 {
-                let around = above[x] + below[x] + here[x - 1] + here[x + 1];
-                self.laplacian[x] = around - 4.0 * here[x];
+        let (mut sum, mut squares, mut clipped, mut edges) = (0.0, 0.0, 0.0, 0.0);
+        for (y, start) in (0..pixels).step_by(self.width).enumerate() {
+            let of_row = start..start + self.width;
+            let row = &mut self.luma[of_row.clone()];
+            let colours = red[of_row.clone()].iter().zip(&green[of_row.clone()]);
+            for (luma, ((red, green), blue)) in row.iter_mut().zip(colours.zip(&blue[of_row])) {
+                *luma = self.offset + r * red + g * green + b * blue;
             }
-            edges += sum_of(&self.laplacian[1..self.width - 1], |value| value * value);
+            sum += sum_of(row, |luma| luma);
+            squares += sum_of(row, |luma| luma * luma);
+            let is_clipped = |luma: f32| (luma - 0.5).abs() >= 0.5 - CLIPPED;
+            clipped += sum_of(row, |luma| f32::from(u8::from(is_clipped(luma))));
+            if y >= 2 {
+                let row = |back: usize| &self.luma[start - back * self.width..][..self.width];
+                let (above, here, below) = (row(2), row(1), row(0));
+                for x in 1..self.width - 1 {
+                    let around = above[x] + below[x] + here[x - 1] + here[x + 1];
+                    self.laplacian[x] = around - 4.0 * here[x];
+                }
+                edges += sum_of(&self.laplacian[1..self.width - 1], |value| value * value);
+            }
         }
         // Far below 2^52.
         #[allow(clippy::cast_precision_loss)]

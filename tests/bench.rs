@@ -39,6 +39,7 @@ fn bench_has_its_keys_and_its_numbers_fit_together() {
             "capture",
             "health",
             "preprocess",
+            "quality",
             "encoder",
             "energy",
             "histogram",
@@ -49,7 +50,7 @@ fn bench_has_its_keys_and_its_numbers_fit_together() {
     for stage in stages {
         assert!(number(stage, "median_ms") <= number(stage, "p99_ms"));
     }
-    for stage in &stages[3..] {
+    for stage in &stages[1..] {
         assert_eq!(stage["allocations"], 0, "after the encoder: {stage}");
     }
     assert!(number(&bench, "encoder_ms") > 0.0);

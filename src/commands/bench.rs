@@ -19,6 +19,7 @@ use gapwatch::encoder::{EncoderSession, products_in_registers};
 use gapwatch::energies::BlockMeans;
 use gapwatch::frame::pixels::Layout;
 use gapwatch::frame::{Frame, open};
+use gapwatch::image_quality::QualityMeter;
 use gapwatch::intake::Intake;
 use gapwatch::pipeline::Monitor;
 use gapwatch::preprocess::Preprocessor;
@@ -46,10 +47,11 @@ const PEAK_PRODUCTS: u64 = 40_000_000;
 const PERIOD: Duration = Duration::from_millis(100);
 
 /// Names of the stages, in the order of the chain.
-const STAGES: [&str; 8] = [
+const STAGES: [&str; 9] = [
     "capture",
     "health",
     "preprocess",
+    "quality",
     "encoder",
     "energy",
     "histogram",
@@ -58,7 +60,7 @@ const STAGES: [&str; 8] = [
 ];
 
 /// Place of the encoder among them.
-const ENCODER: usize = 3;
+const ENCODER: usize = 4;
 
 /// What is written.
 #[derive(Serialize)]
@@ -214,6 +216,7 @@ struct Stages<'a> {
     reference: &'a Reference,
     camera: CameraHealth,
     preprocessor: Preprocessor,
+    meter: QualityMeter,
     session: EncoderSession,
     maps: Vec<EnergyMap>,
     means: Vec<BlockMeans>,
@@ -269,6 +272,7 @@ impl<'a> Stages<'a> {
             reference,
             camera: CameraHealth::default(),
             preprocessor: Preprocessor::new(of),
+            meter: QualityMeter::new(of),
             session: model.encoder.session()?,
             maps: vec![EnergyMap::default(); taps],
             means: vec![BlockMeans::default(); taps],
@@ -300,6 +304,9 @@ impl<'a> Stages<'a> {
 
         let pixels = frame.picture?;
         let input = self.preprocessor.input(&pixels).map_err(cannot)?;
+        clock.lap();
+
+        std::hint::black_box(self.meter.measure(input));
         clock.lap();
 
         let features = self.session.run(input).map_err(|why| anyhow!(why))?;

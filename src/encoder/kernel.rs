@@ -75,26 +75,41 @@ pub enum Kernel {
 impl Kernel {
     /// All that this processor can run, fastest first.
     pub fn available() -> Vec<Self> {
-        #[allow(unused_mut)]
-        let mut kernels = vec![Self::Portable];
-        #[cfg(target_arch = "x86_64")]
-        {
-            if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") {
-                kernels.insert(0, Self::Avx2);
-            }
-            if is_x86_feature_detected!("avx512f")
-                && is_x86_feature_detected!("avx512vl")
-                && is_x86_feature_detected!("avx512dq")
-            {
-                kernels.insert(0, Self::Avx512);
-            }
-        }
-        kernels
+        let all = [
+            #[cfg(target_arch = "x86_64")]
+            Self::Avx512,
+            #[cfg(target_arch = "x86_64")]
+            Self::Avx2,
+            Self::Portable,
+        ];
+        all.into_iter()
+            .filter(|kernel| kernel.runs_here())
+            .collect()
     }
 
-    /// The fastest that this processor can run.
+    /// The fastest that this processor can run. Allocates nothing.
     pub fn fastest() -> Self {
-        Self::available().first().copied().unwrap_or(Self::Portable)
+        #[cfg(target_arch = "x86_64")]
+        for kernel in [Self::Avx512, Self::Avx2] {
+            if kernel.runs_here() {
+                return kernel;
+            }
+        }
+        Self::Portable
+    }
+
+    fn runs_here(self) -> bool {
+        match self {
+            #[cfg(target_arch = "x86_64")]
+            Self::Avx512 => {
+                is_x86_feature_detected!("avx512f")
+                    && is_x86_feature_detected!("avx512vl")
+                    && is_x86_feature_detected!("avx512dq")
+            }
+            #[cfg(target_arch = "x86_64")]
+            Self::Avx2 => is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma"),
+            Self::Portable => true,
+        }
     }
 
     /// For people.
@@ -112,7 +127,7 @@ impl Kernel {
     /// work is compiled for them.
     #[inline]
     pub fn vectorised(self, work: impl FnOnce()) {
-        // SAFETY: AVX-512 and AVX2 come from `available` alone, which has asked the processor.
+        // SAFETY: AVX-512 and AVX2 come from `available` and `fastest` alone, which have asked the processor.
         unsafe {
             match self {
                 #[cfg(target_arch = "x86_64")]
