@@ -68,7 +68,7 @@ class Peer:
         attention = np.exp((energy - energy.max()) / TEMPERATURE)
         attention /= attention.sum()
         low, high = attention.min(), attention.max()
-        levels = ((LEVELS - 1) * (attention - low) / (high - low)).astype(np.int64)
+        levels = ((LEVELS - 1) * ((attention - low) / (high - low))).astype(np.int64)
         return np.bincount(levels.ravel(), minlength=LEVELS)[FIRST:].astype(np.float32)
 
     def similarities(self, live: list[np.ndarray]) -> list[float]:
