@@ -304,6 +304,9 @@ pub struct EvaluateArgs {
     /// File that gets the result as JSON too; of a file that is there, only what is evaluated is replaced
     #[arg(long, value_name = "FILE")]
     pub out: Option<PathBuf>,
+    /// Of speed_error, name the point that misses least at this share of one core of the machine that measured, percent
+    #[arg(long, value_name = "PERCENT", value_parser = percent)]
+    pub budget: Option<f64>,
     /// Draw speed_error as an SVG picture too
     #[arg(long, value_name = "FILE.svg")]
     pub plot: Option<PathBuf>,
@@ -451,6 +454,11 @@ impl From<ExecutorChoice> for Executor {
 pub enum TableFormat {
     Table,
     Json,
+}
+
+fn percent(text: &str) -> Result<f64, String> {
+    let percent = text.parse().ok().filter(|p| (0.01..=10_000.0).contains(p));
+    percent.ok_or_else(|| "wanted a share of one core from 0.01 to 10000 percent".to_owned())
 }
 
 fn threads(text: &str) -> Result<usize, String> {

@@ -205,6 +205,11 @@ fn show(results: &Results, args: &EvaluateArgs, out: &mut dyn Write) -> anyhow::
         }
         ResultsFormat::Markdown => markdown(results, out)?,
     }
+    if let Some(percent) = args.budget {
+        let rows = results.rows(EvaluateKey::SpeedError)?;
+        let rows = rows.context("--budget is for speed_error, which is not among the results")?;
+        writeln!(out, "{}", speed_error::within(&rows, percent)?)?;
+    }
     Ok(())
 }
 

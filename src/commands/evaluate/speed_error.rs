@@ -193,6 +193,35 @@ pub fn sheets(rows: &[Row<SpeedError>]) -> Vec<Sheet> {
     vec![sheet]
 }
 
+/// The point that misses least at a cost of at most so many percent of one core, in words; of several the cheapest.
+pub fn within(rows: &[Row<SpeedError>], percent: f64) -> anyhow::Result<String> {
+    let affordable = rows.iter().filter(|row| row.of.second_ms <= 10.0 * percent);
+    let best = affordable.min_by(|a, b| {
+        let missed = a.of.missed_share().total_cmp(&b.of.missed_share());
+        missed.then(a.of.second_ms.total_cmp(&b.of.second_ms))
+    });
+    let Some(Row { of, .. }) = best else {
+        let cheapest = rows
+            .iter()
+            .map(|row| row.of.second_ms)
+            .fold(f64::INFINITY, f64::min);
+        bail!(
+            "no point costs at most {percent} % of a core; the cheapest costs {:.1} %",
+            cheapest / 10.0
+        );
+    };
+    Ok(format!(
+        "within {percent} % of a core: {}, taps {}, window {} s, {} frames a second: {:.1} % of a core, {:.1} % missed \
+         (calibrate --model --taps --window; rate_hz of the board)",
+        of.model,
+        of.taps.join(","),
+        of.window_s,
+        of.fps,
+        of.second_ms / 10.0,
+        100.0 * of.missed_share()
+    ))
+}
+
 /// Every point by cost and missed share, a colour a model, the front as a line.
 pub fn plot(rows: &[Row<SpeedError>], path: &Path) -> anyhow::Result<()> {
     let points: Vec<SpeedError> = rows.iter().map(|row| row.of.clone()).collect();
