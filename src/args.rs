@@ -62,6 +62,9 @@ pub struct ReplayArgs {
     /// Where CAN frames go: log:FILE (candump format), log:-, socketcan:IFACE (with --speed realtime) or none
     #[arg(long, value_name = "SINK", default_value = "none")]
     pub can: Sink,
+    /// The bus has CAN FD: send GapDetail too
+    #[arg(long)]
+    pub fd: bool,
     /// Journal to write, JSON lines
     #[arg(long, value_name = "FILE")]
     pub journal: Option<PathBuf>,

@@ -55,7 +55,7 @@ fn field(set: &str) -> String {
 #[ignore = "needs the Python packages of tests/requirements.txt: run tests/run"]
 fn every_frame_on_the_bus_is_decoded_and_its_crc_and_counter_accepted_by_others() {
     let folder = tempfile::tempdir().unwrap();
-    gapwatch_in(folder.path(), &["replay", "--can", "log:can.log"]).ok();
+    gapwatch_in(folder.path(), &["replay", "--can", "log:can.log", "--fd"]).ok();
     let log = folder.path().join("can.log");
     let said = check(
         "check_can_log.py",
@@ -65,7 +65,8 @@ fn every_frame_on_the_bus_is_decoded_and_its_crc_and_counter_accepted_by_others(
         ],
     );
     let report: serde_json::Value = serde_json::from_str(said.lines().last().unwrap()).unwrap();
-    assert!(report["frames"].as_u64().unwrap() >= 660, "{report}");
+    // 60 s: ten status frames a second, one health and one detail.
+    assert!(report["frames"].as_u64().unwrap() >= 720, "{report}");
     let states: Vec<&str> = report["states"]
         .as_array()
         .unwrap()

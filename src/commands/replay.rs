@@ -70,7 +70,11 @@ pub fn run(args: &ReplayArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
                 .with_context(|| format!("cannot keep evidence in {}", folder.display()))
         })
         .transpose()?;
-    let bus = Bus::new(&args.can, CanSettings::default(), &reference)?;
+    let settings = CanSettings {
+        fd: args.fd,
+        ..CanSettings::default()
+    };
+    let bus = Bus::new(&args.can, settings, &reference)?;
     let bar = progress::frames(source.frame_count(), "replaying");
     // With the CAN log on standard output, the lines for people go where they do not mix with it.
     let mut aside = std::io::stderr();
