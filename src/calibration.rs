@@ -478,6 +478,31 @@ pub struct LabelledMeans {
     pub loss: f64,
 }
 
+/// How often [`calibrate`] looks at drives in all, once for each drive each time.
+pub fn looks<D: Drive, L: LabelledDrive>(
+    domains: &[Domain<'_, D>],
+    held_out: &[D],
+    labelled: &[L],
+    metric: Metric,
+) -> u64 {
+    // Peaks, then masses and counts of histograms, or moments.
+    let of_fitted = match metric {
+        Metric::LogEnergy(_) => 3,
+        _ => 2,
+    };
+    let (mut fitted, mut scaled) = (0, 0);
+    for split in domains.iter().flat_map(|domain| split(domain.drives)) {
+        fitted += usize::from(split.fitted > 0);
+        scaled += usize::from(split.fitted < split.drive.frames());
+    }
+    let scored = if held_out.is_empty() {
+        scaled
+    } else {
+        held_out.len()
+    };
+    (of_fitted * fitted + scaled + scored + labelled.len()) as u64
+}
+
 /// Makes the nominal domains of a reference and the thresholds that keep the wanted rate of false alarms.
 ///
 /// The first domain is the simulation. Every second drive of each domain makes histograms or moments, the others scale the

@@ -6,6 +6,7 @@ mod calibrate;
 mod compare;
 mod evaluate;
 mod inspect;
+mod live;
 mod merge;
 mod monitor;
 mod new_folder;
@@ -22,6 +23,7 @@ use std::path::Path;
 use anyhow::bail;
 use gapwatch::alarm::AlarmState;
 use gapwatch::encoder::{Encoder, Executor};
+use gapwatch::evidence::Kept;
 use gapwatch::frame::open;
 use gapwatch::model::{ModelOptions, ModelSpec};
 use gapwatch::pipeline::Verdict;
@@ -134,4 +136,19 @@ fn state_line(verdict: &Verdict) -> String {
         (_, None, None) => {}
     }
     line
+}
+
+/// One line for people about the evidence of a run.
+fn tell_evidence(kept: Kept, out: &mut dyn Write) -> std::io::Result<()> {
+    write!(out, "evidence: {} events written", kept.events)?;
+    for (count, what) in [
+        (kept.removed, "older ones removed"),
+        (kept.failed, "could not be written"),
+        (kept.dropped_frames, "frames left out"),
+    ] {
+        if count > 0 {
+            write!(out, ", {count} {what}")?;
+        }
+    }
+    writeln!(out)
 }

@@ -1,5 +1,7 @@
 //! `gapwatch bench`: time, memory and allocations of every stage from picture to CAN frame.
 
+mod evidence;
+
 use std::fs;
 use std::io::Write;
 use std::time::{Duration, Instant};
@@ -26,6 +28,7 @@ use serde::Serialize;
 use super::Model;
 use crate::args::{BenchArgs, TableFormat};
 use crate::counting;
+use evidence::EvidenceCost;
 
 /// Frames that are shown, over and over.
 const SHOWN: usize = 6;
@@ -74,6 +77,8 @@ struct Bench {
     rss_mib: f64,
     start_ms: f64,
     binary_mib: f64,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    evidence: Option<EvidenceCost>,
 }
 
 /// One stage.
@@ -128,7 +133,10 @@ pub fn run(args: &BenchArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
             })
             .collect::<anyhow::Result<Vec<Measured>>>()
     })?;
-    let bench = summary(args, &model, &measured, start, render)?;
+    let mut bench = summary(args, &model, &measured, start, render)?;
+    if args.evidence {
+        bench.evidence = Some(evidence::cost(args, &model, &reference)?);
+    }
     match args.format {
         TableFormat::Json => writeln!(out, "{}", serde_json::to_string_pretty(&bench)?)?,
         TableFormat::Table => table(&bench, out)?,
@@ -406,6 +414,7 @@ fn summary(
         rss_mib: resident_mib()?,
         start_ms: ms(start),
         binary_mib: mib(fs::metadata(std::env::current_exe()?)?.len()),
+        evidence: None,
     })
 }
 
@@ -531,5 +540,8 @@ fn table(bench: &Bench, out: &mut dyn Write) -> anyhow::Result<()> {
         "resident {:.1} MiB, start to first verdict {:.0} ms, program {:.1} MiB",
         bench.rss_mib, bench.start_ms, bench.binary_mib
     )?;
+    if let Some(cost) = &bench.evidence {
+        writeln!(out, "{}", cost.line())?;
+    }
     Ok(())
 }
