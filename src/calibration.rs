@@ -1118,6 +1118,75 @@ mod tests {
         ));
     }
 
+    /// A drive that counts how often it is looked at.
+    struct Counted(Survey, std::sync::atomic::AtomicU64);
+
+    impl Drive for Counted {
+        fn source(&self) -> &str {
+            &self.0.source
+        }
+
+        fn frames(&self) -> usize {
+            self.0.frames.len()
+        }
+
+        fn survey(&self) -> Result<Cow<'_, Survey>, StoreError> {
+            self.1.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
+            Ok(Cow::Borrowed(&self.0))
+        }
+    }
+
+    /// A drive of 30 frames, each with another map.
+    fn counted(seed: usize) -> Counted {
+        let frames = (0..30).map(|frame| {
+            let map = ramp(100 * (seed + frame), 100 * (seed + frame) + 64);
+            let energy = map.energy.iter().take(20).copied().collect();
+            Ok(SurveyFrame {
+                peaks: vec![map.range().1],
+                means: vec![BlockMeans {
+                    activation: vec![1.0; 4],
+                    energy,
+                }],
+                maps: vec![map],
+            })
+        });
+        let survey = Survey {
+            source: format!("drive {seed}"),
+            times: (0..30).map(|i| Duration::from_millis(100 * i)).collect(),
+            frames: frames.collect(),
+            common_size: (64, 1),
+        };
+        Counted(survey, Default::default())
+    }
+
+    #[test]
+    fn looks_are_as_many_as_were_foretold() {
+        for metric in [Metric::Mahalanobis, LOG_ENERGY, ATTENTION] {
+            for (fitting, held_out) in [(1, 0), (4, 0), (5, 3)] {
+                let drives: Vec<Counted> = (0..fitting).map(counted).collect();
+                let held_out: Vec<Counted> = (0..held_out).map(|i| counted(20 + i)).collect();
+                let domain = Domain {
+                    name: "simulation".to_owned(),
+                    drives: &drives,
+                };
+                let wanted = Wanted {
+                    metric,
+                    window_s: 1.0,
+                    false_alarms_per_hour: 1.0,
+                };
+                let domains = [domain];
+                let none: &[LabelledMeans] = &[];
+                let foretold = looks(&domains, &held_out, none, metric);
+                calibrate(&domains, &held_out, none, &["e2".to_owned()], wanted).unwrap();
+                let all = drives.iter().chain(&held_out);
+                let looked: u64 = all
+                    .map(|d| d.1.load(std::sync::atomic::Ordering::Relaxed))
+                    .sum();
+                assert_eq!(looked, foretold, "{metric}, {fitting} drives");
+            }
+        }
+    }
+
     #[test]
     fn medians_of_even_and_odd_counts() {
         assert_eq!(median(vec![3.0, 1.0, 2.0]), Some(2.0));

@@ -133,7 +133,7 @@ fn state_line(verdict: &Verdict) -> String {
             let hundredths = (100.0 * score).round() + 0.0;
             line += &format!("  score {:.2}", hundredths / 100.0);
         }
-        (_, None, None) => {}
+        (_, None, None) => line += &format!("  {}", verdict.reason.name()),
     }
     line
 }

@@ -149,7 +149,9 @@ pub fn run(args: &InspectArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
                 100.0 * share
             )?;
         }
-        if let (Some(score), Some(regions)) = (score, regions) {
+        if let (Some(score), Some(regions)) = (score, regions)
+            && *score >= 1.0
+        {
             let (row, column, share) = regions.largest();
             write!(
                 out,

@@ -13,7 +13,7 @@ use crate::args::BenchArgs;
 
 /// Blocks, every second one with the recorder.
 const BLOCKS: u32 = 12;
-/// Frames of a block, of which the second half is noise: an alarm a block.
+/// Frames of a block, of which the second half is fog: an alarm a block.
 const BLOCK_FRAMES: u32 = 100;
 /// Time between frames.
 const PERIOD: Duration = Duration::from_millis(40);
@@ -67,7 +67,7 @@ pub fn cost(
         }
         Ok(pictures)
     };
-    let (plain, noisy) = (pictures("")?, pictures("&condition=noise:5")?);
+    let (plain, foggy) = (pictures("")?, pictures("&condition=fog:5")?);
     let folder = tempfile::tempdir()?;
     let mut recorder = Recorder::start(folder.path(), Quota::default(), &model.spec.taps)?;
     let mut monitor = Monitor::new(&model.encoder, reference)?;
@@ -78,7 +78,7 @@ pub fn cost(
         let shown = if 2 * place < BLOCK_FRAMES {
             &plain
         } else {
-            &noisy
+            &foggy
         };
         let frame = Frame {
             sequence: index.into(),

@@ -252,6 +252,9 @@ fn from_base64(text: &str) -> Result<Vec<u8>, String> {
         .map_err(|error| format!("data that is no base64: {error}"))
 }
 
+/// Red, green and blue of a pixel's bytes.
+type Colour = fn(&[u8]) -> [u8; 3];
+
 /// The picture in rows of pixels, by the names of encodings that ROS and Foxglove have.
 fn picture(
     encoding: &str,
@@ -269,10 +272,7 @@ fn picture(
         height,
         stride: step,
     };
-    let (channels, rgb): (usize, fn(&[u8]) -> [u8; 3]) = match encoding
-        .to_ascii_lowercase()
-        .as_str()
-    {
+    let (channels, rgb): (usize, Colour) = match encoding.to_ascii_lowercase().as_str() {
         "rgb8" => return layout(PixelFormat::Rgb3).picture(data),
         "bgr8" | "8uc3" => return layout(PixelFormat::Bgr3).picture(data),
         "yuv422_yuy2" | "yuyv" => return layout(PixelFormat::Yuyv).picture(data),
