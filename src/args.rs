@@ -42,7 +42,9 @@ const SOURCES: &str = "Sources (in quotes: shells take ? and & for themselves):
   random:[seed=1&frames=60]                                    random pixels
   DIR[?fps=10]                                                 folder of PNG or JPEG images in name order, 10 a second
                                                                unless ?fps= says otherwise
-  FILE                                                         one image, or a video (through ffmpeg)";
+  FILE                                                         one image, or a video (through ffmpeg)
+  FILE.mcap[?topic=/camera]                                    recording with images of ROS 2 or Foxglove; its only topic with
+                                                               images unless ?topic= names one";
 
 /// Run a drive through the monitor, as in the car
 ///
@@ -68,6 +70,9 @@ pub struct ReplayArgs {
     /// Journal to write, JSON lines
     #[arg(long, value_name = "FILE")]
     pub journal: Option<PathBuf>,
+    /// MCAP recording to write: the frames as JPEG with their verdicts on one line of time, as Foxglove shows them
+    #[arg(long, value_name = "FILE")]
+    pub mcap: Option<PathBuf>,
     /// Folder for frames and heat maps around the beginning of each alarm; left out = no picture is kept
     #[arg(long, value_name = "DIR")]
     pub evidence: Option<PathBuf>,
@@ -83,6 +88,9 @@ pub struct ReplayArgs {
     /// Let the exit code say what was found
     #[arg(long)]
     pub check: bool,
+    /// Say nothing but errors
+    #[arg(short, long)]
+    pub quiet: bool,
 }
 
 /// Watch a camera and warn on CAN, as the board file says
@@ -103,6 +111,13 @@ pub struct MonitorArgs {
     /// Journal to write, JSON lines; it appears when the monitor stops
     #[arg(long, value_name = "FILE")]
     pub journal: Option<PathBuf>,
+    /// Folder for frames and heat maps around the beginning of each alarm, instead of the board's; without either no picture is
+    /// kept
+    #[arg(long, value_name = "DIR")]
+    pub evidence: Option<PathBuf>,
+    /// Say nothing but errors
+    #[arg(short, long)]
+    pub quiet: bool,
 }
 
 impl ReplayArgs {
@@ -111,6 +126,7 @@ impl ReplayArgs {
         Quota {
             bytes: u64::from(self.evidence_mb) * 1_000_000,
             events: self.evidence_events as usize,
+            keep: None,
         }
     }
 }
@@ -245,7 +261,9 @@ pub struct Metrics(pub Vec<Metric>);
 /// Show where the encoder looks, frame by frame
 ///
 /// DIR gets one sheet a frame, NNNNNN.png: what the model sees with the lanes it marks in blue-green, then the energies
-/// of each tap over the darkened picture, brighter is more, each from 0 to its own peak. inspect.json has the numbers.
+/// of each tap over the darkened picture, brighter is more, each from 0 to its own peak; below them the picture as it is, and
+/// for each tap which of 4x4 regions differ from the reference, brighter is farther, eight nominal spreads are brightest.
+/// inspect.json has the numbers, each frame judged by itself.
 #[derive(Debug, Args)]
 #[command(after_help = format!("{SOURCES}\n\nExample:\n  gapwatch inspect drive.mp4 --out sheets --count 6"))]
 pub struct InspectArgs {
@@ -257,6 +275,9 @@ pub struct InspectArgs {
     /// How many frames, evenly spread over the source
     #[arg(long, value_name = "N", default_value_t = 12, value_parser = clap::value_parser!(u32).range(1..=100_000))]
     pub count: u32,
+    /// Reference to compare with; left out = the one inside the program, if it fits the model
+    #[arg(long, value_name = "FILE")]
+    pub reference: Option<PathBuf>,
     #[command(flatten)]
     pub model: ModelArgs,
 }
@@ -406,6 +427,9 @@ pub struct BenchArgs {
     /// Who runs the encoder: the fastest that can, or tract, to compare with
     #[arg(long, value_enum, default_value = "fastest")]
     pub executor: ExecutorChoice,
+    /// Also measure what the evidence recorder costs the frame loop, at 25 frames a second: 50 s more
+    #[arg(long)]
+    pub evidence: bool,
 }
 
 /// A camera's pixel format.

@@ -3,6 +3,8 @@
 //! Owns the words of a board file. Refuses what it does not know: a misspelt key is an error with its line, never a
 //! default that nobody asked for.
 
+mod evidence;
+
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -11,6 +13,9 @@ use serde::Deserialize;
 
 use crate::can::speed::SpeedSignal;
 use crate::can::{CanSettings, LARGEST_ID, MessageIds, Sink};
+
+pub use evidence::EvidenceBoard;
+use evidence::EvidenceTable;
 
 /// Most frames a second that a board may ask for.
 const RATE_MAX_HZ: f64 = 240.0;
@@ -59,6 +64,8 @@ pub struct Board {
     pub can: CanBoard,
     /// How the road is watched.
     pub monitor: MonitorBoard,
+    /// Pictures of alarms; `None` = none are kept.
+    pub evidence: Option<EvidenceBoard>,
 }
 
 /// Where frames come from.
@@ -114,6 +121,7 @@ struct File {
     can: CanTable,
     #[serde(default)]
     monitor: MonitorTable,
+    evidence: Option<EvidenceTable>,
 }
 
 #[derive(Deserialize)]
@@ -333,6 +341,10 @@ impl Board {
                 rate_hz,
                 idle_rate_hz,
             },
+            evidence: file.evidence.map(|table| EvidenceBoard {
+                quota: table.quota(),
+                folder: beside(table.folder),
+            }),
         })
     }
 }
@@ -420,6 +432,31 @@ mod tests {
         assert_eq!((speed.id, speed.start_bit, speed.length), (0x1A0, 23, 16));
         assert!(speed.big_endian && (speed.parked_below_kmh - 1.0).abs() < 1e-9);
         assert!(read(LEAST).unwrap().can.settings.speed.is_none());
+    }
+
+    #[test]
+    fn evidence_is_kept_only_where_the_board_says_so_and_not_for_ever() {
+        assert!(read(LEAST).unwrap().evidence.is_none());
+        let board = read(&format!(
+            "{LEAST}[evidence]\nfolder = \"seen\"\nevents = 5\n"
+        ))
+        .unwrap();
+        let EvidenceBoard { folder, quota } = board.evidence.unwrap();
+        assert!(folder.ends_with("seen") && folder != Path::new("seen"));
+        assert_eq!((quota.events, quota.bytes), (5, 256_000_000));
+        assert_eq!(quota.keep, Some(Duration::from_secs(30 * 86_400)));
+        for (line, said) in [
+            ("events = 0", "1 to 100000"),
+            ("days = -1", "1 to 3650"),
+            ("mb = 3", "megabytes"),
+        ] {
+            let error =
+                read(&format!("{LEAST}[evidence]\nfolder = \"seen\"\n{line}\n")).unwrap_err();
+            assert!(
+                error.contains("car.toml:7:") && error.contains(said),
+                "{error}"
+            );
+        }
     }
 
     #[test]

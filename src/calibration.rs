@@ -478,6 +478,31 @@ pub struct LabelledMeans {
     pub loss: f64,
 }
 
+/// How often [`calibrate`] looks at drives in all, once for each drive each time.
+pub fn looks<D: Drive, L: LabelledDrive>(
+    domains: &[Domain<'_, D>],
+    held_out: &[D],
+    labelled: &[L],
+    metric: Metric,
+) -> u64 {
+    // Peaks, then masses and counts of histograms, or moments.
+    let of_fitted = match metric {
+        Metric::LogEnergy(_) => 3,
+        _ => 2,
+    };
+    let (mut fitted, mut scaled) = (0, 0);
+    for split in domains.iter().flat_map(|domain| split(domain.drives)) {
+        fitted += usize::from(split.fitted > 0);
+        scaled += usize::from(split.fitted < split.drive.frames());
+    }
+    let scored = if held_out.is_empty() {
+        scaled
+    } else {
+        held_out.len()
+    };
+    (of_fitted * fitted + scaled + scored + labelled.len()) as u64
+}
+
 /// Makes the nominal domains of a reference and the thresholds that keep the wanted rate of false alarms.
 ///
 /// The first domain is the simulation. Every second drive of each domain makes histograms or moments, the others scale the
@@ -1091,6 +1116,75 @@ mod tests {
                 first: 0
             }
         ));
+    }
+
+    /// A drive that counts how often it is looked at.
+    struct Counted(Survey, std::sync::atomic::AtomicU64);
+
+    impl Drive for Counted {
+        fn source(&self) -> &str {
+            &self.0.source
+        }
+
+        fn frames(&self) -> usize {
+            self.0.frames.len()
+        }
+
+        fn survey(&self) -> Result<Cow<'_, Survey>, StoreError> {
+            self.1.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
+            Ok(Cow::Borrowed(&self.0))
+        }
+    }
+
+    /// A drive of 30 frames, each with another map.
+    fn counted(seed: usize) -> Counted {
+        let frames = (0..30).map(|frame| {
+            let map = ramp(100 * (seed + frame), 100 * (seed + frame) + 64);
+            let energy = map.energy.iter().take(20).copied().collect();
+            Ok(SurveyFrame {
+                peaks: vec![map.range().1],
+                means: vec![BlockMeans {
+                    activation: vec![1.0; 4],
+                    energy,
+                }],
+                maps: vec![map],
+            })
+        });
+        let survey = Survey {
+            source: format!("drive {seed}"),
+            times: (0..30).map(|i| Duration::from_millis(100 * i)).collect(),
+            frames: frames.collect(),
+            common_size: (64, 1),
+        };
+        Counted(survey, Default::default())
+    }
+
+    #[test]
+    fn looks_are_as_many_as_were_foretold() {
+        for metric in [Metric::Mahalanobis, LOG_ENERGY, ATTENTION] {
+            for (fitting, held_out) in [(1, 0), (4, 0), (5, 3)] {
+                let drives: Vec<Counted> = (0..fitting).map(counted).collect();
+                let held_out: Vec<Counted> = (0..held_out).map(|i| counted(20 + i)).collect();
+                let domain = Domain {
+                    name: "simulation".to_owned(),
+                    drives: &drives,
+                };
+                let wanted = Wanted {
+                    metric,
+                    window_s: 1.0,
+                    false_alarms_per_hour: 1.0,
+                };
+                let domains = [domain];
+                let none: &[LabelledMeans] = &[];
+                let foretold = looks(&domains, &held_out, none, metric);
+                calibrate(&domains, &held_out, none, &["e2".to_owned()], wanted).unwrap();
+                let all = drives.iter().chain(&held_out);
+                let looked: u64 = all
+                    .map(|d| d.1.load(std::sync::atomic::Ordering::Relaxed))
+                    .sum();
+                assert_eq!(looked, foretold, "{metric}, {fitting} drives");
+            }
+        }
     }
 
     #[test]

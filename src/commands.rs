@@ -7,6 +7,7 @@ mod compare;
 mod cpu_time;
 mod evaluate;
 mod inspect;
+mod live;
 mod merge;
 mod monitor;
 mod new_folder;
@@ -23,6 +24,7 @@ use std::path::Path;
 use anyhow::bail;
 use gapwatch::alarm::AlarmState;
 use gapwatch::encoder::{Encoder, Executor};
+use gapwatch::evidence::Kept;
 use gapwatch::frame::open;
 use gapwatch::model::{ModelOptions, ModelSpec};
 use gapwatch::pipeline::Verdict;
@@ -136,7 +138,22 @@ fn state_line(verdict: &Verdict) -> String {
             let hundredths = (100.0 * score).round() + 0.0;
             line += &format!("  score {:.2}", hundredths / 100.0);
         }
-        (_, None, None) => {}
+        (_, None, None) => line += &format!("  {}", verdict.reason.name()),
     }
     line
+}
+
+/// One line for people about the evidence of a run.
+fn tell_evidence(kept: Kept, out: &mut dyn Write) -> std::io::Result<()> {
+    write!(out, "evidence: {} events written", kept.events)?;
+    for (count, what) in [
+        (kept.removed, "older ones removed"),
+        (kept.failed, "could not be written"),
+        (kept.dropped_frames, "frames left out"),
+    ] {
+        if count > 0 {
+            write!(out, ", {count} {what}")?;
+        }
+    }
+    writeln!(out)
 }

@@ -8,6 +8,7 @@ use heapless::Deque;
 use crate::alarm::Judgement;
 use crate::gap::Metric;
 use crate::model::TAPS_MAX;
+use crate::profile::{TapProfile, spreads_of};
 use crate::reference::{Component, Reference};
 use crate::undefined::Undefined;
 
@@ -93,6 +94,8 @@ impl Cusum {
 pub struct Detector {
     metric: Metric,
     components: Vec<Component>,
+    /// Nominal spreads of energies by component and tap, for profiles.
+    spreads: Vec<Vec<Vec<f64>>>,
     cusum: Cusum,
     span: Duration,
     /// When each frame in the window was seen, oldest first.
@@ -121,6 +124,10 @@ impl Detector {
         let bins = Component::taken_len(&components);
         Self {
             metric,
+            spreads: components
+                .iter()
+                .map(|component| component.taps.iter().map(spreads_of).collect())
+                .collect(),
             components,
             cusum: Cusum::default(),
             span: Duration::from_secs_f64(window_s),
@@ -201,6 +208,24 @@ impl Detector {
             }
         }
         nearest.ok_or(Undefined::NoScore)
+    }
+
+    /// The window beside the nominal domain that it lies nearest to, tap after tap; empty when it cannot be judged.
+    pub fn profiles(&self) -> Vec<TapProfile> {
+        let Ok(evidence) = self.evidence(1.0) else {
+            return Vec::new();
+        };
+        let (before, rest) = self.components.split_at(evidence.component);
+        let mut sums = &self.sums[Component::taken_len(before)..];
+        let taps = rest.first().map_or(&[][..], |component| &component.taps);
+        taps.iter()
+            .zip(&self.spreads[evidence.component])
+            .map(|(tap, spread)| {
+                let (own, rest) = sums.split_at(tap.nominal.len());
+                sums = rest;
+                TapProfile::new(tap, spread, own, self.times.len())
+            })
+            .collect()
     }
 
     fn blocks(
@@ -300,6 +325,22 @@ mod tests {
         let mut detector = Detector::of(metric, two, 1.0);
         let seen = detector.observe(at(0), &[0, 0, 7, 7, 0, 0, 7, 7]).unwrap();
         assert_eq!((seen.component, seen.blocks[0].gap), (1, 0.0));
+    }
+
+    #[test]
+    fn profiles_are_of_the_nearest_domain_and_of_the_whole_window() {
+        let metric = Metric::LogEnergy(Divergence::JensenShannon);
+        let two = vec![component(vec![1, 1, 0, 0]), component(vec![0, 0, 1, 3])];
+        let mut detector = Detector::of(metric, two, 1.0);
+        assert_eq!(detector.profiles(), []);
+        detector.observe(at(0), &[0, 0, 8, 0, 0, 0, 8, 0]).unwrap();
+        detector
+            .observe(at(100), &[0, 0, 0, 8, 0, 0, 0, 8])
+            .unwrap();
+        let profiles = detector.profiles();
+        assert_eq!(profiles.len(), 1);
+        assert_eq!(profiles[0].live, [0.0, 0.0, 0.5, 0.5]);
+        assert_eq!(profiles[0].nominal, [0.0, 0.0, 0.25, 0.75]);
     }
 
     #[test]

@@ -17,17 +17,16 @@ use std::collections::{BTreeMap, VecDeque};
 use std::path::Path;
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::thread::JoinHandle;
-use std::time::Duration;
+use std::time::{Duration, Instant, SystemTime};
 
-use image::codecs::jpeg::JpegEncoder;
-use image::{ExtendedColorType, ImageEncoder};
 use serde::{Deserialize, Serialize};
 
 use crate::alarm::AlarmState;
 use crate::frame::pixels::Pixels;
-use crate::frame::{Frame, Picture};
+use crate::frame::{Frame, jpeg};
 use crate::heat;
 use crate::pipeline::{Look, Verdict};
+use crate::profile::TapProfile;
 
 use folder::EventFolder;
 pub use reading::{Event, ReadError, picture, read};
@@ -38,26 +37,29 @@ const STEP: Duration = Duration::from_millis(200);
 const AROUND: Duration = Duration::from_secs(2);
 /// Frames in memory before an alarm: those of [`AROUND`].
 const RING_MAX: usize = 10;
+/// How often it is looked whether an event has been kept long enough.
+const EXPIRE_EVERY: Duration = Duration::from_secs(600);
 /// Messages on their way to the writer.
 const QUEUE_MAX: usize = 16;
-/// Quality of the pictures, of 100.
-const JPEG_QUALITY: u8 = 85;
 
-/// How much a folder of evidence may hold; the oldest events go first.
+/// How much a folder of evidence may hold, and for how long; the oldest events go first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Quota {
     /// Bytes of all files.
     pub bytes: u64,
     /// Events.
     pub events: usize,
+    /// How long an event is kept; `None` = until the others want its place.
+    pub keep: Option<Duration>,
 }
 
 impl Default for Quota {
-    /// 256 MiB and 200 events: a megabyte an event, at 1280x720.
+    /// 256 MB and 200 events: a megabyte an event, at 1280x720.
     fn default() -> Self {
         Self {
-            bytes: 256 << 20,
+            bytes: 256_000_000,
             events: 200,
+            keep: None,
         }
     }
 }
@@ -93,6 +95,9 @@ pub struct Moment {
     /// Files of the heat maps by tap; most moments have none.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub heat: BTreeMap<String, String>,
+    /// The window beside what is nominal, one entry a tap; most moments have none.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub profiles: Vec<TapProfile>,
 }
 
 /// A frame on its way to the writer.
@@ -134,8 +139,9 @@ impl Recorder {
         })
     }
 
-    /// Offers a frame with its verdict; never waits. `look` is asked for at the beginning of an alarm only.
-    pub fn offer(&mut self, frame: &Frame, verdict: &Verdict, look: impl FnOnce() -> Look) {
+    /// Offers a frame with its verdict; never waits, and copies no picture. `look` is asked for at the beginning of an alarm
+    /// only.
+    pub fn offer(&mut self, frame: Frame, verdict: &Verdict, look: impl FnOnce() -> Look) {
         let before = std::mem::replace(&mut self.state, verdict.state);
         let alarming = |state| matches!(state, AlarmState::Suspect | AlarmState::Gap);
         let edge = before != verdict.state
@@ -144,7 +150,7 @@ impl Recorder {
         let due = self
             .handed_at
             .is_none_or(|at| frame.captured_at.saturating_sub(at) >= STEP);
-        let (true, Ok(pixels)) = (edge || due, &frame.picture) else {
+        let (true, Ok(pixels)) = (edge || due, frame.picture) else {
             return;
         };
         self.handed_at = Some(frame.captured_at);
@@ -157,10 +163,11 @@ impl Recorder {
                 score: verdict.score,
                 frame: format!("frame-{:06}.jpg", frame.sequence),
                 heat: BTreeMap::new(),
+                profiles: Vec::new(),
             },
             at: frame.captured_at,
             edge,
-            pixels: pixels.clone(),
+            pixels,
             look: (edge && verdict.score.is_some()).then(look),
         };
         if self.sender.try_send(message).is_err() {
@@ -215,11 +222,23 @@ impl Writer {
     }
 
     fn run(mut self, messages: &Receiver<Message>) -> Kept {
+        let mut expired = None;
         for message in messages {
+            if expired.is_none_or(|at: Instant| at.elapsed() >= EXPIRE_EVERY) {
+                expired = Some(Instant::now());
+                self.expire();
+            }
             self.take(message);
         }
         self.close();
         self.kept
+    }
+
+    fn expire(&mut self) {
+        match self.folder.expire(SystemTime::now()) {
+            Ok(removed) => self.kept.removed += removed,
+            Err(error) => log::warn!("evidence {}: {error}", self.folder.path().display()),
+        }
     }
 
     fn take(&mut self, message: Message) {
@@ -281,7 +300,8 @@ impl Writer {
 fn held(message: Message, taps: &[String]) -> image::ImageResult<Held> {
     let mut moment = message.moment;
     let mut files = vec![(moment.frame.clone(), jpeg(&message.pixels.picture())?)];
-    if let Some(look) = &message.look {
+    if let Some(look) = message.look {
+        moment.profiles = look.profiles;
         for ((tap, energies), number) in taps.iter().zip(&look.energies).zip(1..) {
             // Numbered, for names of taps may hold anything.
             let name = format!("heat-{:06}-{}.jpg", moment.seq, number);
@@ -295,23 +315,14 @@ fn held(message: Message, taps: &[String]) -> image::ImageResult<Held> {
     Ok(Held { moment, files })
 }
 
-fn jpeg(picture: &Picture) -> image::ImageResult<Vec<u8>> {
-    let mut bytes = Vec::new();
-    JpegEncoder::new_with_quality(&mut bytes, JPEG_QUALITY).write_image(
-        &picture.rgb,
-        picture.width,
-        picture.height,
-        ExtendedColorType::Rgb8,
-    )?;
-    Ok(bytes)
-}
-
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
     use crate::alarm::Reason;
     use crate::attention::EnergyMap;
+    use crate::frame::Picture;
+    use crate::profile::ProfileKind;
     use std::fs;
 
     fn picture() -> Picture {
@@ -345,12 +356,19 @@ mod tests {
             fault_detection_counter: 0,
             gap_stored: false,
         };
-        recorder.offer(&frame, &verdict, || Look {
+        recorder.offer(frame, &verdict, || Look {
             seen: picture(),
             energies: vec![EnergyMap {
                 width: 2,
                 height: 1,
                 energy: vec![1.0, 2.0],
+            }],
+            profiles: vec![TapProfile {
+                tap: "../e2".to_owned(),
+                kind: ProfileKind::Histogram,
+                live: vec![0.25, 0.75],
+                nominal: vec![0.5, 0.5],
+                spread: vec![],
             }],
         });
         // The writer's queue is short and this test faster than any camera.
@@ -384,7 +402,8 @@ mod tests {
         let (_, event) = &events[0];
         let moment = &event.moments[event.edge];
         assert_eq!((moment.t_s, moment.state.as_str()), (5.0, "Suspect"));
-        assert_eq!(moment.heat.len(), 1);
+        assert_eq!((moment.heat.len(), moment.profiles.len()), (1, 1));
+        assert_eq!(moment.profiles[0].live, [0.25, 0.75]);
         let (first, last) = (&event.moments[0], event.moments.last().unwrap());
         // Two seconds before the suspicion, two after the gap began.
         assert!((2.8..=3.2).contains(&first.t_s), "{}", first.t_s);
@@ -407,6 +426,7 @@ mod tests {
         let quota = Quota {
             bytes: u64::MAX,
             events: 3,
+            keep: None,
         };
         let kept = record(folder.path(), quota, 5);
         assert_eq!((kept.events, kept.removed), (5, 2));
@@ -422,6 +442,7 @@ mod tests {
         let quota = Quota {
             bytes: size + size / 2,
             events: 100,
+            keep: None,
         };
         let kept = record(folder.path(), quota, 1);
         assert_eq!((kept.events, kept.removed), (1, 3));
@@ -430,9 +451,32 @@ mod tests {
         let quota = Quota {
             bytes: size / 2,
             events: 100,
+            keep: None,
         };
         let kept = record(folder.path(), quota, 1);
         assert_eq!((kept.events, kept.failed), (0, 1));
+    }
+
+    #[test]
+    fn what_was_kept_long_enough_goes_without_a_new_event() {
+        let folder = tempfile::tempdir().unwrap();
+        record(folder.path(), Quota::default(), 2);
+        let day = Duration::from_secs(86_400);
+        let old = fs::File::open(folder.path().join("000001")).unwrap();
+        old.set_modified(SystemTime::now() - 3 * day).unwrap();
+        let quota = Quota {
+            keep: Some(2 * day),
+            ..Quota::default()
+        };
+        let mut recorder = Recorder::start(folder.path(), quota, &[]).unwrap();
+        offer(&mut recorder, 0, AlarmState::Ok);
+        assert_eq!(
+            (
+                recorder.finish().removed,
+                read(folder.path()).unwrap().len()
+            ),
+            (1, 1)
+        );
     }
 
     #[test]

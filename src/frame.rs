@@ -11,12 +11,14 @@ mod names;
 pub mod newest;
 pub mod pixels;
 mod random;
+mod recording;
 mod video;
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 
+pub use images::jpeg;
 pub use names::{drives, ranges, sort_drives, stamp, template};
 
 use crate::board::CameraWish;
@@ -100,6 +102,14 @@ pub enum SourceError {
         /// What the system answered, or what is missing.
         why: String,
     },
+    /// A recording that cannot be read.
+    #[error("{}: {why}", path.display())]
+    Recording {
+        /// Which file.
+        path: PathBuf,
+        /// What is wrong with it, or which of its topics to name.
+        why: String,
+    },
     /// A video that cannot be decoded.
     #[error("{}: {why}", path.display())]
     Video {
@@ -120,6 +130,11 @@ pub trait FrameSource: Send {
 
     /// How many frames there will be, when known.
     fn frame_count(&self) -> Option<u64>;
+
+    /// When the source began, since the epoch of its clock, where it has one; known with its first frame.
+    fn began_at(&self) -> Option<Duration> {
+        None
+    }
 
     /// Whether frames come at their own pace, as from a camera.
     fn is_live(&self) -> bool {
@@ -149,13 +164,13 @@ pub fn open_camera(
         #[cfg(not(feature = "camera"))]
         Some(_) => Err(SourceError::Name {
             found: name.to_owned(),
-            wanted: "this build has no camera source (build with --features camera); wanted scene:…, random:…, a folder, an image or a video".to_owned(),
+            wanted: "this build has no camera source (build with --features camera); wanted scene:…, random:…, a folder, an image, a recording or a video".to_owned(),
         }),
         None => open(name),
     }
 }
 
-/// Opens a source by the name a user types: `scene:…`, `random:…`, a folder, an image or a video file.
+/// Opens a source by the name a user types: `scene:…`, `random:…`, a folder, an image, a recording or a video file.
 ///
 /// # Errors
 /// When the name is not understood or nothing readable is behind it.
@@ -171,11 +186,11 @@ pub fn open(name: &str) -> Result<Box<dyn FrameSource>, SourceError> {
     if name.starts_with("v4l2:") {
         return Err(SourceError::Name {
             found: name.to_owned(),
-            wanted: "a camera is watched by monitor; wanted scene:…, random:…, a folder, an image or a video".to_owned(),
+            wanted: "a camera is watched by monitor; wanted scene:…, random:…, a folder, an image, a recording or a video".to_owned(),
         });
     }
-    let (path, fps) = path_and_fps(name)?;
-    if path.is_dir() {
+    let FileName { path, fps, topic } = file_name(name)?;
+    if path.is_dir() && topic.is_none() {
         return Ok(Box::new(images::ImageSource::folder(
             path,
             fps.unwrap_or(FOLDER_FPS),
@@ -184,12 +199,22 @@ pub fn open(name: &str) -> Result<Box<dyn FrameSource>, SourceError> {
     if !path.exists() {
         return Err(SourceError::Missing(path.to_owned()));
     }
-    if fps.is_some() {
-        return Err(SourceError::Name {
+    let wrong = |wanted: &str| {
+        Err(SourceError::Name {
             found: name.to_owned(),
-            wanted: "?fps= is for folders of images; a video has its own rate, one image has none"
-                .to_owned(),
-        });
+            wanted: wanted.to_owned(),
+        })
+    };
+    if fps.is_some() {
+        return wrong(
+            "?fps= is for folders of images; a video or recording has its own times, one image has none",
+        );
+    }
+    if path.is_file() && recording::is_recording(path) {
+        return Ok(Box::new(recording::RecordingSource::open(path, topic)?));
+    }
+    if topic.is_some() {
+        return wrong("?topic= is for MCAP recordings");
     }
     if images::is_image(path) {
         return Ok(Box::new(images::ImageSource::single(path)));
@@ -197,19 +222,37 @@ pub fn open(name: &str) -> Result<Box<dyn FrameSource>, SourceError> {
     Ok(Box::new(video::VideoSource::open(path)?))
 }
 
-/// Splits `PATH?fps=N`; a path that exists as typed is taken whole.
-fn path_and_fps(name: &str) -> Result<(&Path, Option<f64>), SourceError> {
-    match name.rsplit_once("?fps=") {
-        Some((path, fps)) if !Path::new(name).exists() => {
-            let fps = fps.parse().ok().filter(|fps| (0.1..=240.0).contains(fps));
-            let fps = fps.ok_or_else(|| SourceError::Name {
+/// The name of a file or folder with what may stand behind it.
+struct FileName<'a> {
+    path: &'a Path,
+    fps: Option<f64>,
+    topic: Option<&'a str>,
+}
+
+/// Splits `PATH?fps=N` or `PATH?topic=NAME`; a path that exists as typed is taken whole.
+fn file_name(name: &str) -> Result<FileName<'_>, SourceError> {
+    let (mut path, mut fps, mut topic) = (name, None, None);
+    if !Path::new(name).exists() {
+        if let Some((before, number)) = name.rsplit_once("?fps=") {
+            let number = number
+                .parse()
+                .ok()
+                .filter(|fps| (0.1..=240.0).contains(fps));
+            fps = Some(number.ok_or_else(|| SourceError::Name {
                 found: name.to_owned(),
                 wanted: "wanted ?fps= from 0.1 to 240".to_owned(),
-            })?;
-            Ok((Path::new(path), Some(fps)))
+            })?);
+            path = before;
+        } else if let Some((before, wanted)) = name.split_once("?topic=") {
+            topic = Some(wanted);
+            path = before;
         }
-        _ => Ok((Path::new(name), None)),
     }
+    Ok(FileName {
+        path: Path::new(path),
+        fps,
+        topic,
+    })
 }
 
 /// The time of frame `sequence` at a steady rate.

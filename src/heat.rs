@@ -1,6 +1,7 @@
 //! Energies as pictures: a colour map in which brighter is more, and panels over what the model sees.
 
 use crate::attention::{EnergyMap, Upsampler};
+use crate::energies::{CELLS, GRID};
 use crate::frame::Picture;
 use crate::lane::LaneMask;
 
@@ -12,6 +13,9 @@ const STATIONS: [[f32; 3]; 5] = [
     [250.0, 150.0, 35.0],
     [255.0, 250.0, 190.0],
 ];
+
+/// Deviation from which on a region is shown brightest, nominal spreads.
+const DEVIATION_SHOWN: f64 = 8.0;
 
 /// Colour of lane in overlays: a blue-green that no road has and that all kinds of colour blindness tell from red.
 const LANE_COLOUR: [f32; 3] = [0.0, 220.0, 210.0];
@@ -55,6 +59,28 @@ pub fn with_energy(picture: &Picture, energy: &EnergyMap) -> Picture {
         let share = (g / peak) as f32;
         paint(pixel, [0.0; 3], 0.5);
         paint(pixel, colour(share), (0.1 + 1.5 * share).min(0.9));
+    }
+    shown
+}
+
+/// How far each region is from nominal over the darkened picture: brighter is farther, by the amount of its deviation, and
+/// `DEVIATION_SHOWN` nominal spreads or more are brightest. `deviations` row by row of the coarse grid.
+pub fn with_regions(picture: &Picture, deviations: &[f64; CELLS]) -> Picture {
+    let mut shown = picture.clone();
+    let (width, height) = (picture.width as usize, picture.height as usize);
+    for (place, pixel) in shown.rgb.chunks_exact_mut(3).enumerate() {
+        let (x, y) = (place % width.max(1), place / width.max(1));
+        let (column, row) = (x * GRID / width, y * GRID / height);
+        let of = |x: usize, y: usize| (x * GRID / width, y * GRID / height);
+        // A dark line between regions.
+        let edge = of(x.saturating_sub(1), y) != (column, row)
+            || of(x, y.saturating_sub(1)) != (column, row);
+        #[allow(clippy::cast_possible_truncation)]
+        let share = (deviations[row * GRID + column].abs() / DEVIATION_SHOWN).min(1.0) as f32;
+        paint(pixel, [0.0; 3], if edge { 1.0 } else { 0.5 });
+        if !edge {
+            paint(pixel, colour(share), (0.1 + share).min(0.8));
+        }
     }
     shown
 }
@@ -147,6 +173,27 @@ mod tests {
             .map(|p| p.iter().map(|&v| u32::from(v)).sum())
             .collect();
         assert!((0..8).all(|i| i == 6 || sums[i] < sums[6]), "{sums:?}");
+    }
+
+    #[test]
+    fn the_region_that_differs_most_is_the_brightest() {
+        let picture = Picture {
+            width: 16,
+            height: 8,
+            rgb: vec![100; 3 * 16 * 8],
+        };
+        let mut deviations = [1.0; CELLS];
+        deviations[GRID + 2] = -6.0;
+        let shown = with_regions(&picture, &deviations);
+        // The middles of the region at row 1, column 2 and of its neighbours.
+        let sum = |x: usize, y: usize| -> u32 {
+            shown.rgb[3 * (16 * y + x)..][..3]
+                .iter()
+                .map(|&v| u32::from(v))
+                .sum()
+        };
+        let others = [(6, 3), (14, 3), (10, 1), (10, 5)];
+        assert!(others.iter().all(|&(x, y)| sum(x, y) < sum(10, 3)));
     }
 
     #[test]

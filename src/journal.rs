@@ -2,6 +2,7 @@
 //! with.
 
 mod reading;
+mod recording;
 
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
@@ -17,6 +18,7 @@ use crate::reference::{FalseAlarms, NominalDrives, Reference};
 use crate::whole_file::WholeFile;
 
 pub use reading::{Entry, ReadError, Reading, read};
+pub use recording::RecordingJournal;
 
 /// A journal that cannot be written.
 #[derive(Debug, thiserror::Error)]
@@ -140,6 +142,38 @@ impl From<ImageQuality> for Image {
     }
 }
 
+impl<'a> Line<'a> {
+    fn new(
+        taps: &'a [String],
+        verdict: &'a Verdict,
+        latency: Duration,
+        about: Option<About>,
+    ) -> Self {
+        let per_tap = |value| PerTap {
+            taps,
+            blocks: &verdict.blocks,
+            value,
+        };
+        Self {
+            t_s: verdict.at.as_secs_f64(),
+            seq: verdict.sequence,
+            state: verdict.state.name(),
+            reason: verdict.reason.name(),
+            score: verdict.score,
+            gap: per_tap(|block| block.gap),
+            similarity: per_tap(|block| block.similarity),
+            health: verdict
+                .undefined
+                .as_ref()
+                .map_or_else(|| "ok".to_owned(), ToString::to_string),
+            latency_ms: latency.as_secs_f64() * 1e3,
+            tap_score: per_tap(|block| block.score),
+            image: verdict.quality.map(Image::from),
+            about,
+        }
+    }
+}
+
 /// One number a tap, in the order of the taps; `null` where there is none.
 struct PerTap<'a> {
     taps: &'a [String],
@@ -186,28 +220,7 @@ impl Journal {
     /// When the disk does not take it.
     pub fn add(&mut self, verdict: &Verdict, latency: Duration) -> Result<(), JournalError> {
         let about = self.about.take();
-        let per_tap = |value| PerTap {
-            taps: &self.taps,
-            blocks: &verdict.blocks,
-            value,
-        };
-        let line = Line {
-            t_s: verdict.at.as_secs_f64(),
-            seq: verdict.sequence,
-            state: verdict.state.name(),
-            reason: verdict.reason.name(),
-            score: verdict.score,
-            gap: per_tap(|block| block.gap),
-            similarity: per_tap(|block| block.similarity),
-            health: verdict
-                .undefined
-                .as_ref()
-                .map_or_else(|| "ok".to_owned(), ToString::to_string),
-            latency_ms: latency.as_secs_f64() * 1e3,
-            tap_score: per_tap(|block| block.score),
-            image: verdict.quality.map(Image::from),
-            about,
-        };
+        let line = Line::new(&self.taps, verdict, latency, about);
         serde_json::to_writer(&mut self.lines, &line)
             .map_err(io::Error::from)
             .and_then(|()| self.lines.write_all(b"\n"))

@@ -16,6 +16,10 @@
 //!   -> GapStatus   8 bytes with counter and CRC                             can
 //! ```
 //!
+//! Beside the chain, for people: a line a frame as JSON or, with the pictures, as an MCAP recording (`journal`); the
+//! pictures around an alarm (`evidence`) with what is behind it, number by number and region by region (`profile`); all of it as
+//! one page (`report`).
+//!
 //! [`pipeline::Monitor::step`] is that chain. What cannot be judged is [`undefined::Undefined`], never a number, and the
 //! car is told `Unavailable` or `SensorFault`, never `Ok`.
 
@@ -47,6 +51,7 @@ pub mod reference;
 pub mod intake;
 
 pub mod detector;
+pub mod profile;
 
 pub mod alarm;
 pub mod health;

@@ -12,6 +12,7 @@ use crate::frame::{Frame, Picture};
 use crate::image_quality::ImageQuality;
 use crate::intake::Intake;
 use crate::model::TAPS_MAX;
+use crate::profile::TapProfile;
 use crate::reference::{Component, Reference};
 use crate::undefined::Undefined;
 
@@ -59,13 +60,15 @@ pub struct Verdict {
     pub gap_stored: bool,
 }
 
-/// Where the encoder looked.
+/// Where the encoder looked, and what it found there.
 #[derive(Clone, Debug)]
 pub struct Look {
     /// What it saw.
     pub seen: Picture,
     /// Energies of each tap, of its block's own size.
     pub energies: Vec<EnergyMap>,
+    /// The window beside what is nominal, one entry a tap; empty when it cannot be judged.
+    pub profiles: Vec<TapProfile>,
 }
 
 impl Monitor {
@@ -117,6 +120,7 @@ impl Monitor {
         Look {
             seen: self.stage.seen(),
             energies: self.stage.maps().to_vec(),
+            profiles: self.detector.profiles(),
         }
     }
 

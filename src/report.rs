@@ -3,6 +3,7 @@
 //! The page needs nothing from outside and nothing outside it: styles, script and numbers stand in the file, and its own
 //! content policy forbids everything else. What came from the journal is text there, never markup.
 
+mod chart;
 mod page;
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -11,6 +12,7 @@ use std::path::Path;
 use crate::alarm::AlarmState;
 use crate::evidence::{self, Moment};
 use crate::journal::{About, Entry, Reading};
+use crate::profile::TapProfile;
 
 /// Times that differ less are the same: the journal writes every digit.
 const SAME_TIME_S: f64 = 1e-6;
@@ -27,7 +29,15 @@ pub struct Report {
     alarms: Vec<Alarm>,
     taps: Vec<String>,
     /// By the alarm's place.
-    shown: BTreeMap<usize, Vec<Shown>>,
+    shown: BTreeMap<usize, Evidence>,
+}
+
+/// What is kept of an alarm.
+#[derive(Debug, Default)]
+struct Evidence {
+    pictures: Vec<Shown>,
+    /// The window at the gap's beginning, or, where it came to none, at the suspicion's; one entry a tap.
+    profiles: Vec<TapProfile>,
 }
 
 /// A picture beside an alarm.
@@ -99,7 +109,12 @@ impl Report {
             let Some(place) = place.filter(|_| self.shown.len() < SHOWN_ALARMS_MAX) else {
                 continue;
             };
-            let shown = self.shown.entry(place).or_default();
+            let evidence = self.shown.entry(place).or_default();
+            let profiled = event.moments.iter().rfind(|m| !m.profiles.is_empty());
+            if let Some(moment) = profiled.filter(|_| evidence.profiles.is_empty()) {
+                evidence.profiles.clone_from(&moment.profiles);
+            }
+            let shown = &mut evidence.pictures;
             for moment in thinned(&event.moments, event.edge) {
                 let caption = format!("{:.2} s, {}", moment.t_s, moment.state);
                 shown.push(Shown {

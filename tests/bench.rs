@@ -61,3 +61,20 @@ fn bench_has_its_keys_and_its_numbers_fit_together() {
     assert!(number(&bench, "encoder_gflops") > 0.0 && number(&bench, "peak_gflops") > 0.0);
     assert!(number(&bench, "rss_mib") > 1.0 && number(&bench, "binary_mib") > 1.0);
 }
+
+#[test]
+#[ignore = "takes a minute: run tests/run"]
+fn bench_sets_the_frame_loop_with_evidence_beside_that_without() {
+    let folder = tempfile::tempdir().unwrap();
+    let args = ["bench", "--format", "json", "--frame", "320x160"];
+    let args = [&args[..], &["--evidence"]].concat();
+    let bench: serde_json::Value =
+        serde_json::from_str(&gapwatch_in(folder.path(), &args).ok()).unwrap();
+    let cost = &bench["evidence"];
+    assert_eq!(cost["frames"], 600);
+    // An alarm in each of the six blocks with the recorder.
+    assert_eq!(cost["events"], 6, "{cost}");
+    for key in ["off_median_ms", "off_p99_ms", "on_median_ms", "on_p99_ms"] {
+        assert!(cost[key].as_f64().unwrap() > 0.0, "{cost}");
+    }
+}

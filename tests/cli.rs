@@ -83,7 +83,7 @@ fn wrong_use_is_met_with_one_line_and_exit_code_2_and_leaves_nothing_behind() {
                 "--journal",
                 "./same",
             ],
-            "two files",
+            "a file of its own",
         ),
         (
             vec!["replay", "--crop", "0.5,0,0.6,1"],

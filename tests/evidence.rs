@@ -8,8 +8,7 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
-use program::{files, gapwatch_in};
-use serde_json::Value;
+use program::{files, gapwatch_in, whole_events};
 
 /// Noise that comes and goes: an alarm every 4 s.
 fn flicker(seconds: u32) -> String {
@@ -19,37 +18,6 @@ fn flicker(seconds: u32) -> String {
         "scene:sim?seed=7&seconds={seconds}&size=160x80{}",
         noise.collect::<String>()
     )
-}
-
-/// The names of the events; each must be whole.
-fn whole_events(folder: &Path) -> Vec<String> {
-    let mut events = Vec::new();
-    for entry in fs::read_dir(folder).into_iter().flatten() {
-        let name = entry.unwrap().file_name().into_string().unwrap();
-        if name.starts_with('.') {
-            continue;
-        }
-        let event = folder.join(&name);
-        let json: Value =
-            serde_json::from_slice(&fs::read(event.join("event.json")).unwrap()).unwrap();
-        let moments = json["moments"].as_array().unwrap();
-        let heat = moments
-            .iter()
-            .flat_map(|moment| moment["heat"].as_object())
-            .flatten();
-        let named: Vec<&Value> = moments
-            .iter()
-            .map(|moment| &moment["frame"])
-            .chain(heat.map(|(_, file)| file))
-            .collect();
-        for file in &named {
-            image::open(event.join(file.as_str().unwrap())).unwrap();
-        }
-        assert_eq!(files(&event).len(), named.len() + 1);
-        events.push(name);
-    }
-    events.sort();
-    events
 }
 
 #[test]
@@ -127,6 +95,73 @@ fn a_killed_program_leaves_only_whole_events_and_the_next_goes_on() {
     gapwatch_in(folder.path(), &["replay", &drive, "--evidence", "seen"]).ok();
     assert!(whole_events(&seen).len() > before);
     assert!(!seen.join(".unfinished-000099").exists());
+}
+
+/// A small file system of its own at a folder, until it is dropped.
+struct SmallDisk<'a>(&'a Path);
+
+impl<'a> SmallDisk<'a> {
+    fn mount(folder: &'a Path, size: &str) -> Self {
+        let status = Command::new("mount")
+            .args([
+                "-t",
+                "tmpfs",
+                "-o",
+                &format!("size={size}"),
+                "gapwatch-test",
+            ])
+            .arg(folder)
+            .status();
+        assert!(status.unwrap().success(), "cannot mount a tmpfs");
+        Self(folder)
+    }
+}
+
+impl Drop for SmallDisk<'_> {
+    fn drop(&mut self) {
+        let _ = Command::new("umount").arg(self.0).status();
+    }
+}
+
+#[test]
+#[ignore = "needs root, for a disk that fills up: run tests/run"]
+fn root_a_full_disk_costs_events_and_no_verdict() {
+    let folder = tempfile::tempdir().unwrap();
+    let seen = folder.path().join("seen");
+    fs::create_dir(&seen).unwrap();
+    let drive = flicker(48);
+    let journal = |name: &str, more: &[&str]| {
+        let args = ["replay", &drive, "--journal", name];
+        let said = gapwatch_in(folder.path(), &[&args, more].concat()).ok();
+        let text = fs::read_to_string(folder.path().join(name)).unwrap();
+        let lines = text
+            .lines()
+            .map(|line| line.split(",\"latency_ms\"").next().unwrap().to_owned());
+        (said, lines.collect::<Vec<_>>())
+    };
+    let (_, without) = journal("j", &[]);
+    let disk = SmallDisk::mount(&seen, "400k");
+    let (said, with) = journal("k", &["--evidence", "seen"]);
+    assert_eq!(with, without);
+    let whole = whole_events(&seen).len();
+    assert!((1..6).contains(&whole), "{whole} events");
+    assert!(
+        said.contains(&format!(
+            "evidence: {whole} events written, {} could not be written",
+            6 - whole
+        )),
+        "{said}"
+    );
+    // Nothing half is left, and with a quota below the disk's size nothing is lost.
+    assert_eq!(fs::read_dir(&seen).unwrap().count(), whole);
+    drop(disk);
+    let _disk = SmallDisk::mount(&seen, "2m");
+    let quota = ["--evidence", "seen", "--evidence-mb", "1"];
+    let (said, _) = journal("l", &quota);
+    assert!(
+        said.contains("evidence: 6 events written") && !said.contains("could not"),
+        "{said}"
+    );
 }
 
 #[test]

@@ -16,6 +16,7 @@ use gapwatch::alarm::{AlarmState, Reason};
 use gapwatch::board::Board;
 use gapwatch::can::e2e::{E2eReceiver, Sequence};
 use gapwatch::can::message::GapStatus;
+use program::whole_events;
 
 /// Longest time between two status frames: the cycle of 100 ms, and what a busy computer may take.
 const LATE: f64 = 0.35;
@@ -191,6 +192,46 @@ fn a_strict_reference_is_refused_unless_the_board_asks_for_it() {
         "{said}"
     );
     assert!(!folder.path().join("can.log").exists());
+}
+
+#[test]
+fn a_board_keeps_evidence_beside_it_also_when_it_is_killed() {
+    let folder = tempfile::tempdir().unwrap();
+    let drive =
+        "scene:sim?seed=7&seconds=60&size=160x80&condition=noise:5@2-4&condition=noise:5@10-50";
+    let board = board(drive) + "[evidence]\nfolder = \"seen\"\nevents = 3\n";
+    let seen = folder.path().join("seen");
+    let mut child = monitor(folder.path(), &board, &[]);
+    let began = Instant::now();
+    while whole_events(&seen).is_empty() {
+        assert!(began.elapsed() < Duration::from_secs(30), "no event");
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    child.kill().unwrap();
+    child.wait().unwrap();
+    assert_eq!(whole_events(&seen), ["000001"]);
+    // The next run goes on in the same folder, another folder is the command line's, and none is kept without either.
+    let run = |board: &str, args: &[&str]| {
+        let done = monitor(folder.path(), board, args)
+            .wait_with_output()
+            .unwrap();
+        assert!(done.status.success(), "{done:?}");
+        String::from_utf8(done.stdout).unwrap()
+    };
+    let short = board.replace("seconds=60", "seconds=7");
+    let said = run(&short, &["--journal", "j"]);
+    assert!(said.contains("evidence: 1 events written"), "{said}");
+    assert_eq!(whole_events(&seen), ["000001", "000002"]);
+    let said = run(&short, &["--evidence", "other"]);
+    assert!(said.contains("evidence: 1 events written"), "{said}");
+    assert_eq!(whole_events(&folder.path().join("other")), ["000001"]);
+    let none = short.split("[evidence]").next().unwrap();
+    assert!(!run(none, &[]).contains("evidence"));
+    assert_eq!(whole_events(&seen).len(), 2);
+    let report = ["report", "j", "--evidence", "seen", "--out", "r.html"];
+    program::gapwatch_in(folder.path(), &report).ok();
+    let page = fs::read_to_string(folder.path().join("r.html")).unwrap();
+    assert!(page.contains("image/jpeg;") && page.contains("class=\"regions\""));
 }
 
 #[test]

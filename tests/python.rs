@@ -138,6 +138,49 @@ fn networks_of_other_peoples_shape_are_tapped_calibrated_and_compared() {
 }
 
 #[test]
+#[ignore = "needs the Python packages of tests/requirements.txt: run tests/run"]
+fn recordings_that_others_write_are_seen_like_the_pictures_in_them() {
+    let folder = tempfile::tempdir().unwrap();
+    let pictures = scenes(folder.path(), "s", &["--count", "25", "--seed", "2"]);
+    let of = |path: &Path| path.to_str().unwrap().to_owned();
+    check(
+        "check_mcap.py",
+        &["write", &of(&pictures), &of(folder.path())],
+    );
+    let journal = |source: &str| {
+        gapwatch_in(folder.path(), &["replay", source, "--journal", "j"]).ok();
+        let text = std::fs::read_to_string(folder.path().join("j")).unwrap();
+        text.lines()
+            .map(|line| line.split(",\"latency_ms\"").next().unwrap().to_owned())
+            .collect::<Vec<_>>()
+    };
+    let (colours, grey) = (journal("s/frames"), journal("grey"));
+    assert_eq!(colours.len(), 25);
+    assert_ne!(colours, grey);
+    for name in ["ros-rgb8", "ros-bgr8", "ros-rgba8", "ros-bgra8", "ros-png"] {
+        assert_eq!(journal(&format!("{name}.mcap")), colours, "{name}");
+    }
+    for name in ["foxglove-raw", "foxglove-png", "foxglove-json"] {
+        assert_eq!(journal(&format!("{name}.mcap")), colours, "{name}");
+    }
+    assert_eq!(journal("grey-mono8.mcap"), grey);
+}
+
+#[test]
+#[ignore = "needs the Python packages of tests/requirements.txt: run tests/run"]
+fn recordings_of_verdicts_are_read_by_others() {
+    let folder = tempfile::tempdir().unwrap();
+    let drive = "scene:sim?seed=7&seconds=6&condition=night:5@2-4";
+    let args = ["replay", drive, "--journal", "j", "--mcap", "r.mcap"];
+    gapwatch_in(folder.path(), &args).ok();
+    let of = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let said = check("check_mcap.py", &["read", &of("r.mcap"), &of("j")]);
+    let read: serde_json::Value = serde_json::from_str(&said).unwrap();
+    assert_eq!(read["images"], 60, "{read}");
+    assert!(read["verdicts"].as_u64().unwrap() >= 60, "{read}");
+}
+
+#[test]
 #[ignore = "needs the ffmpeg program: run tests/run"]
 fn a_video_is_seen_like_the_pictures_it_was_made_of() {
     let folder = tempfile::tempdir().unwrap();

@@ -2,6 +2,8 @@
 
 pub(super) mod buffers;
 
+mod evidence;
+
 use std::fs;
 use std::io::Write;
 use std::time::{Duration, Instant};
@@ -33,6 +35,7 @@ use super::cpu_time::cpu_time;
 use crate::args::{BenchArgs, TableFormat};
 use crate::counting;
 use buffers::buffer_of;
+use evidence::EvidenceCost;
 
 /// Frames that are shown, over and over.
 const SHOWN: usize = 6;
@@ -88,6 +91,8 @@ struct Bench {
     rss_mib: f64,
     start_ms: f64,
     binary_mib: f64,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    evidence: Option<EvidenceCost>,
 }
 
 /// One stage.
@@ -143,7 +148,10 @@ pub fn run(args: &BenchArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
             })
             .collect::<anyhow::Result<Vec<Measured>>>()
     })?;
-    let bench = summary(args, &model, &measured, start, render)?;
+    let mut bench = summary(args, &model, &measured, start, render)?;
+    if args.evidence {
+        bench.evidence = Some(evidence::cost(args, &model, &reference)?);
+    }
     match args.format {
         TableFormat::Json => writeln!(out, "{}", serde_json::to_string_pretty(&bench)?)?,
         TableFormat::Table => table(&bench, out)?,
@@ -455,6 +463,7 @@ fn summary(
         rss_mib: resident_mib()?,
         start_ms: ms(start),
         binary_mib: mib(fs::metadata(std::env::current_exe()?)?.len()),
+        evidence: None,
     })
 }
 
@@ -569,5 +578,8 @@ fn table(bench: &Bench, out: &mut dyn Write) -> anyhow::Result<()> {
         "resident {:.1} MiB, start to first verdict {:.0} ms, program {:.1} MiB",
         bench.rss_mib, bench.start_ms, bench.binary_mib
     )?;
+    if let Some(cost) = &bench.evidence {
+        writeln!(out, "{}", cost.line())?;
+    }
     Ok(())
 }

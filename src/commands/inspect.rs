@@ -3,20 +3,26 @@
 use std::collections::BTreeMap;
 use std::fs;
 use std::io::Write;
+use std::time::Duration;
 
 use anyhow::{Context, bail};
 use gapwatch::attention::{EnergyMap, Upsampler};
+use gapwatch::detector::{BlockScore, Detector};
 use gapwatch::encoder::Encoder;
-use gapwatch::energies::EnergyStage;
+use gapwatch::energies::{BlockMeans, CELLS, EnergyStage, GRID};
 use gapwatch::frame::{Frame, Picture, open};
 use gapwatch::heat;
+use gapwatch::intake::Intake;
 use gapwatch::lane::energy_on_lanes;
 use gapwatch::model::ModelSpec;
+use gapwatch::profile::TapProfile;
+use gapwatch::reference::{Component, ModelFingerprint, Reference};
 use image::ExtendedColorType;
 use serde::Serialize;
 
 use super::new_folder::NewFolder;
 use super::pictures::write_png;
+use super::progress;
 use crate::args::InspectArgs;
 
 /// Panels of a sheet are enlarged, by a whole factor, to at least this width, pixels.
@@ -27,6 +33,8 @@ const PANEL_WIDTH_PX: u32 = 480;
 struct Inspection {
     source: String,
     model: String,
+    /// How gaps are measured; `None` without a reference for this model.
+    metric: Option<String>,
     frames: Vec<Inspected>,
     median: BTreeMap<String, TapNumbers>,
 }
@@ -52,12 +60,35 @@ struct TapNumbers {
     energy_on_lanes: Option<f64>,
     /// That share as a multiple of the lanes' share of the picture.
     lift: Option<f64>,
+    /// Gap of this frame alone, in the reference's metric.
+    gap: Option<f64>,
+    /// 0 nominal, 1 alarm threshold of windows of one frame.
+    score: Option<f64>,
+    /// Which part of the picture differs from the reference.
+    regions: Option<Regions>,
+}
+
+/// Regions of the picture, row by row from the top.
+#[derive(Clone, Serialize)]
+struct Regions {
+    /// Of the region's log energy from its nominal mean, nominal spreads.
+    deviation: [[f64; GRID]; GRID],
+    /// Share of the sum of the squared deviations.
+    share: [[f64; GRID]; GRID],
+}
+
+/// What a frame is compared with.
+struct Comparison {
+    reference: Reference,
+    intake: Intake,
+    taken: Vec<u32>,
 }
 
 pub fn run(args: &InspectArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
     let spec = ModelSpec::new(args.model.model.as_deref(), args.model.options())?;
     let encoder = Encoder::load_with_lane(&spec)?;
     let mut stage = EnergyStage::new(&encoder, &spec.preprocessing)?;
+    let mut comparison = Comparison::new(args, &spec, &encoder, stage.common_size())?;
     let total = count(&args.source)?;
     let wanted = total.min(u64::from(args.count));
     if wanted == 0 {
@@ -65,17 +96,22 @@ pub fn run(args: &InspectArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
     }
     let folder = NewFolder::beside(&args.out)?;
     let mut source = open(&args.source)?;
+    let bar = progress::frames(Some(total), "inspecting");
     let mut frames: Vec<Inspected> = Vec::new();
     while let Some(frame) = source.next_frame()? {
         // Evenly spread: frame i of n is taken where i * wanted / n steps up.
         let chosen = frame.sequence * wanted % total < wanted;
         if chosen {
-            frames.push(inspect(&frame, &spec, &mut stage, &folder)?);
+            let compared = comparison.as_mut();
+            frames.push(inspect(&frame, &spec, &mut stage, compared, &folder)?);
         }
+        bar.inc(1);
     }
+    bar.finish_and_clear();
     let inspection = Inspection {
         source: args.source.clone(),
         model: spec.name.clone(),
+        metric: comparison.as_ref().map(|c| c.reference.metric.to_string()),
         median: spec
             .taps
             .iter()
@@ -100,6 +136,9 @@ pub fn run(args: &InspectArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
             peak_energy,
             energy_on_lanes,
             lift,
+            score,
+            regions,
+            ..
         } = &inspection.median[tap];
         let Some(peak) = peak_energy else { continue };
         write!(out, "  {tap}: median peak energy {peak:.1}")?;
@@ -110,9 +149,101 @@ pub fn run(args: &InspectArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
                 100.0 * share
             )?;
         }
+        if let (Some(score), Some(regions)) = (score, regions)
+            && *score >= 1.0
+        {
+            let (row, column, share) = regions.largest();
+            write!(
+                out,
+                ", score {score:.2}, most of it in row {}, column {} of 4x4 ({:.0} %)",
+                row + 1,
+                column + 1,
+                100.0 * share
+            )?;
+        }
         writeln!(out)?;
     }
     Ok(0)
+}
+
+impl Comparison {
+    /// With the reference that is asked for, or the one inside the program where it fits.
+    fn new(
+        args: &InspectArgs,
+        spec: &ModelSpec,
+        encoder: &Encoder,
+        common_size: (usize, usize),
+    ) -> anyhow::Result<Option<Self>> {
+        let reference = Reference::read(args.reference.as_deref())?;
+        let model = ModelFingerprint::new(spec, encoder);
+        match &args.reference {
+            Some(file) => reference.check_fits(&file.display().to_string(), &model)?,
+            None if reference.check_fits("built-in", &model).is_err() => return Ok(None),
+            None => {}
+        }
+        Ok(Some(Self {
+            intake: Intake::new(reference.metric, spec.taps.len(), common_size),
+            taken: vec![0; Component::taken_len(&reference.components)],
+            reference,
+        }))
+    }
+
+    /// One entry a tap of a frame by itself; none when it cannot be judged.
+    fn compare(
+        &mut self,
+        maps: &[EnergyMap],
+        means: &[BlockMeans],
+    ) -> Vec<(BlockScore, TapProfile)> {
+        let components = &self.reference.components;
+        let mut detector = Detector::new(&self.reference);
+        let seen = self
+            .intake
+            .take(maps, means, components, &mut self.taken)
+            .and_then(|()| detector.observe(Duration::ZERO, &self.taken));
+        let blocks = seen.map(|seen| seen.blocks).unwrap_or_default();
+        blocks.into_iter().zip(detector.profiles()).collect()
+    }
+}
+
+impl Regions {
+    /// Region by region over the frames that have them.
+    fn median(tap: &str, frames: &[Inspected]) -> Option<Self> {
+        let of_frames: Vec<&Self> = frames
+            .iter()
+            .filter_map(|frame| frame.taps.get(tap)?.regions.as_ref())
+            .collect();
+        let median = |of: fn(&Self) -> &[[f64; GRID]; GRID]| {
+            std::array::from_fn(|row| {
+                std::array::from_fn(|column| {
+                    let mut values: Vec<f64> =
+                        of_frames.iter().map(|r| of(r)[row][column]).collect();
+                    values.sort_by(f64::total_cmp);
+                    values.get(values.len() / 2).copied().unwrap_or_default()
+                })
+            })
+        };
+        (!of_frames.is_empty()).then(|| Self {
+            deviation: median(|r| &r.deviation),
+            share: median(|r| &r.share),
+        })
+    }
+
+    /// Row, column and share of the region that differs most.
+    fn largest(&self) -> (usize, usize, f64) {
+        let mut largest = (0, 0, 0.0);
+        for (row, shares) in self.share.iter().enumerate() {
+            for (column, &share) in shares.iter().enumerate() {
+                if share > largest.2 {
+                    largest = (row, column, share);
+                }
+            }
+        }
+        largest
+    }
+}
+
+fn in_rows(cells: &[f64; CELLS]) -> [[f64; GRID]; GRID] {
+    std::array::from_fn(|row| std::array::from_fn(|column| cells[row * GRID + column]))
 }
 
 /// How many frames a source has; one that does not say is read through.
@@ -132,6 +263,7 @@ fn inspect(
     frame: &Frame,
     spec: &ModelSpec,
     stage: &mut EnergyStage,
+    comparison: Option<&mut Comparison>,
     folder: &NewFolder,
 ) -> anyhow::Result<Inspected> {
     let mut inspected = Inspected {
@@ -152,11 +284,18 @@ fn inspect(
     let seen = stage.seen();
     let lane = stage.lane();
     inspected.lane_area = lane.map(|lane| lane.area());
+    let compared = comparison.map(|comparison| comparison.compare(&maps, stage.means()));
+    let mut differs: Vec<Picture> = vec![seen.clone()];
     let mut panels: Vec<Picture> = vec![match lane {
         Some(lane) => heat::with_lanes(&seen, lane),
         None => seen.clone(),
     }];
-    for (tap, map) in spec.taps.iter().zip(&maps) {
+    for (index, (tap, map)) in spec.taps.iter().zip(&maps).enumerate() {
+        let of_tap = compared.as_ref().and_then(|compared| compared.get(index));
+        let deviations = of_tap.and_then(|(_, profile)| profile.cell_deviations());
+        if let Some(deviations) = &deviations {
+            differs.push(heat::with_regions(&seen, deviations));
+        }
         panels.push(heat::with_energy(&seen, map));
         let mut common = EnergyMap::default();
         Upsampler::new((map.width, map.height), stage.common_size()).resample(map, &mut common);
@@ -168,11 +307,23 @@ fn inspect(
                 peak_energy: Some(map.range().1),
                 energy_on_lanes: on_lanes.filter(|_| area.is_some()),
                 lift: on_lanes.zip(area).map(|(share, area)| share / area),
+                gap: of_tap.map(|(block, _)| block.gap),
+                score: of_tap.map(|(block, _)| block.score),
+                regions: of_tap.and_then(|(_, profile)| {
+                    Some(Regions {
+                        deviation: in_rows(&profile.cell_deviations()?),
+                        share: in_rows(&profile.cell_shares()?),
+                    })
+                }),
             },
         );
     }
     let scale = PANEL_WIDTH_PX.div_ceil(seen.width);
-    let sheet = heat::sheet(&panels, 2, scale as usize);
+    let columns = panels.len();
+    if differs.len() == columns {
+        panels.extend(differs);
+    }
+    let sheet = heat::sheet(&panels, columns, scale as usize);
     let name = format!("{:06}.png", frame.sequence);
     write_png(
         &folder.path().join(&name),
@@ -195,5 +346,8 @@ fn medians(tap: &str, frames: &[Inspected]) -> TapNumbers {
         peak_energy: median(|n| n.peak_energy),
         energy_on_lanes: median(|n| n.energy_on_lanes),
         lift: median(|n| n.lift),
+        gap: median(|n| n.gap),
+        score: median(|n| n.score),
+        regions: Regions::median(tap, frames),
     }
 }

@@ -16,9 +16,10 @@ use gapwatch::board::Board;
 use gapwatch::can::Sink;
 use gapwatch::can::receiver::Heard;
 use gapwatch::can::speed::Parking;
+use gapwatch::evidence::{Quota, Recorder};
 use gapwatch::frame::newest::{Newest, Taken};
 use gapwatch::frame::{FrameSource, SourceError, open_camera};
-use gapwatch::journal::Journal;
+use gapwatch::journal::{About, Journal};
 use gapwatch::model::ModelOptions;
 use gapwatch::pipeline::{Monitor, Verdict};
 use gapwatch::rate::{Periods, RatePolicy, WantedPeriod};
@@ -28,7 +29,8 @@ use signal_hook::consts::{SIGINT, SIGTERM};
 use signal_hook::flag;
 
 use super::bus::{Bus, COMPLAINT};
-use super::{Model, state_line};
+use super::live::Live;
+use super::{Model, state_line, tell_evidence};
 use crate::args::MonitorArgs;
 
 /// How often the bus is looked after: half of the shortest time between two frames of `GapStatus`.
@@ -50,6 +52,8 @@ struct Told {
 }
 
 pub fn run(args: &MonitorArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
+    let mut nowhere = std::io::sink();
+    let out: &mut dyn Write = if args.quiet { &mut nowhere } else { out };
     let board = Board::read(&args.board)?;
     let model = Model::load_file(board.monitor.model.as_deref(), ModelOptions::default())?;
     let reference = read_reference(&board, &args.board)?;
@@ -63,11 +67,15 @@ pub fn run(args: &MonitorArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
         &board.camera.wish,
         Arc::clone(&wanted),
     )?;
-    let journal = args
+    let mut journal = args
         .journal
         .as_deref()
         .map(|path| Journal::create(path, &model.spec.taps))
         .transpose()?;
+    if let Some(journal) = &mut journal {
+        journal.describe(About::new(&board.camera.source, &name, &reference));
+    }
+    let recorder = recorder(args, &board, &model)?;
     let stop = Arc::new(AtomicBool::new(false));
     for signal in [SIGTERM, SIGINT] {
         flag::register(signal, Arc::clone(&stop)).context("cannot wait for signals")?;
@@ -100,7 +108,20 @@ pub fn run(args: &MonitorArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
             began,
         };
         let (model, reference) = (&model, &reference);
-        let judge = scope.spawn(move || judge(shared, model, reference, periods, live, verdicts));
+        let judge = scope.spawn(move || {
+            let mut recorder = recorder;
+            let judged = judge(
+                shared,
+                model,
+                reference,
+                periods,
+                live,
+                verdicts,
+                recorder.as_mut(),
+            );
+            let kept = recorder.map(Recorder::finish);
+            judged.map(|()| kept)
+        });
         let mut teller = Teller {
             bus,
             journal,
@@ -109,7 +130,8 @@ pub fn run(args: &MonitorArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
             silent: SILENT.max(periods.idle * 3 / 2 + PATIENCE),
             parking: Parking::new(parked_after),
             complained_at: Duration::ZERO,
-            out,
+            live: Live::new(None, args.quiet),
+            out: &mut *out,
         };
         let told = teller.tell_all(&told, shared, limit);
         // Also when telling failed, so that the judge ends.
@@ -117,7 +139,11 @@ pub fn run(args: &MonitorArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
         let judged = judge.join();
         let ended = teller.last_word(began);
         told.and(ended)?;
-        judged.map_err(|_| anyhow::anyhow!("the judge of frames ended by an internal error"))??;
+        let kept = judged
+            .map_err(|_| anyhow::anyhow!("the judge of frames ended by an internal error"))??;
+        if let Some(kept) = kept {
+            tell_evidence(kept, out)?;
+        }
         Ok(0)
     })
 }
@@ -157,6 +183,18 @@ fn read_reference(board: &Board, file: &Path) -> anyhow::Result<Reference> {
         );
     }
     Ok(reference)
+}
+
+/// Keeps evidence where the command line or the board says so.
+fn recorder(args: &MonitorArgs, board: &Board, model: &Model) -> anyhow::Result<Option<Recorder>> {
+    let (asked, on_board) = (args.evidence.as_ref(), board.evidence.as_ref());
+    let Some(folder) = asked.or(on_board.map(|evidence| &evidence.folder)) else {
+        return Ok(None);
+    };
+    let quota = on_board.map_or_else(Quota::default, |evidence| evidence.quota);
+    let recorder = Recorder::start(folder, quota, &model.spec.taps)
+        .with_context(|| format!("cannot keep evidence in {}", folder.display()))?;
+    Ok(Some(recorder))
 }
 
 /// Listens before the first word: two senders of one identifier would destroy each other's frames.
@@ -229,6 +267,7 @@ fn judge(
     periods: Periods,
     live: bool,
     verdicts: Sender<Told>,
+    mut recorder: Option<&mut Recorder>,
 ) -> anyhow::Result<()> {
     let mut monitor = Monitor::new(&model.encoder, reference)?.with_frames_every(periods.idle);
     let mut policy = RatePolicy::new(periods);
@@ -242,6 +281,7 @@ fn judge(
                 log::warn!("GapClear is refused while the road is, or was when last seen, a Gap");
             }
         }
+        let mut judged = None;
         let verdict = match taken {
             Taken::Ended(how) => return Ok(how?),
             // Nobody looks, but the newest frame is taken, so that none is old when the car drives off.
@@ -253,17 +293,24 @@ fn judge(
                 if let Some(silence) = monitor.silence(frame.captured_at) {
                     tell(&verdicts, silence, shared.newest);
                 }
-                Some(monitor.step(&frame))
+                let verdict = monitor.step(&frame);
+                judged = Some(frame);
+                Some(verdict)
             }
             Taken::Nothing => monitor.silence(shared.began.elapsed()),
         };
         if let Some(verdict) = verdict {
-            let frame = verdict.sequence.is_some();
             let period = policy.after(verdict.at, verdict.state, verdict.score);
             shared.wanted.set(period);
-            tell(&verdicts, verdict, shared.newest);
-            // Slept in advance of the next frame, which is then the newest.
-            if frame && !live {
+            tell(&verdicts, verdict.clone(), shared.newest);
+            if let Some(frame) = judged {
+                if let Some(recorder) = &mut recorder {
+                    recorder.offer(frame, &verdict, || monitor.look());
+                }
+                if live {
+                    continue;
+                }
+                // Slept in advance of the next frame, which is then the newest.
                 let now = shared.began.elapsed();
                 next = (next + period).max(now);
                 std::thread::sleep((next - now).min(PATIENCE.max(period)));
@@ -327,6 +374,7 @@ struct Teller<'a> {
     silent: Duration,
     parking: Parking,
     complained_at: Duration,
+    live: Live,
     out: &'a mut dyn Write,
 }
 
@@ -418,14 +466,22 @@ impl Teller<'_> {
             self.journal = None;
         }
         if (verdict.state, verdict.reason) != (self.last.state, self.last.reason) || now.is_zero() {
-            let _ = writeln!(self.out, "{}", state_line(verdict)).and_then(|()| self.out.flush());
+            let _ = self.live.above(|| {
+                writeln!(self.out, "{}", state_line(verdict))?;
+                self.out.flush()
+            });
         }
+        if verdict.sequence.is_some() {
+            self.live.count();
+        }
+        self.live.show(verdict, latency);
         self.last = verdict.clone();
         Ok(())
     }
 
     /// Says that the monitor has stopped, and completes what was written.
     fn last_word(mut self, began: Instant) -> anyhow::Result<()> {
+        self.live.finish();
         let stopped = self.without_frame(began.elapsed(), Reason::Stopped, None);
         let mut said = self.tell(stopped.at, &stopped, Duration::ZERO);
         while said.is_ok() && began.elapsed() < stopped.at + LAST_WORD {

@@ -4,17 +4,22 @@ use indicatif::{ProgressBar, ProgressStyle};
 
 /// A bar over frames; without a known count it only counts. Invisible where standard error is no terminal.
 pub fn frames(count: Option<u64>, what: &str) -> ProgressBar {
+    over(count, what, "frames")
+}
+
+/// The same over other things.
+pub fn over(count: Option<u64>, what: &str, things: &str) -> ProgressBar {
     let (bar, template) = match count {
         Some(count) => (
             ProgressBar::new(count),
-            "{msg} {bar:30} {pos}/{len} frames, {eta} left",
+            format!("{{msg}} {{bar:30}} {{pos}}/{{len}} {things}, {{eta}} left"),
         ),
         None => (
             ProgressBar::no_length(),
-            "{msg} {spinner} {pos} frames in {elapsed}",
+            format!("{{msg}} {{spinner}} {{pos}} {things} in {{elapsed}}"),
         ),
     };
     let style =
-        ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar());
+        ProgressStyle::with_template(&template).unwrap_or_else(|_| ProgressStyle::default_bar());
     bar.with_style(style).with_message(what.to_owned())
 }

@@ -1,9 +1,12 @@
 //! What a reference is made of: drives by role, in an order of their own, and what the encoder saw of them.
 
+use std::borrow::Cow;
 use std::collections::HashSet;
 
 use anyhow::{Context, bail};
-use gapwatch::calibration::{Calibrated, Domain, Drive, LabelledMeans, Wanted, calibrate};
+use gapwatch::calibration::{
+    Calibrated, Domain, Drive, LabelledDrive, LabelledMeans, Wanted, calibrate, looks,
+};
 use gapwatch::encoder::Encoder;
 use gapwatch::frame::{open, ranges, sort_drives, stamp, template};
 use gapwatch::gap::Metric;
@@ -17,6 +20,7 @@ use gapwatch::scene::DriveSpec;
 use gapwatch::shard::ShardSource;
 use gapwatch::survey::store::{Content, Kept, StoreError, Stored, SurveyStore};
 use gapwatch::survey::{Keep, Survey};
+use indicatif::ProgressBar;
 use rayon::prelude::*;
 
 use super::{Model, frames_max, progress};
@@ -258,6 +262,9 @@ impl Recipe {
     pub fn reference(&self, found: Found) -> anyhow::Result<Reference> {
         let drives = all(found.drives)?;
         let labelled = all(found.labelled)?;
+        let bar = progress::over(None, "thresholds", "looks at drives");
+        let drives: Vec<Watched<'_, _>> = watched(&drives, &bar);
+        let labelled: Vec<Watched<'_, _>> = watched(&labelled, &bar);
         let (simulation, mut rest) = drives.split_at(self.simulation.len());
         let mut domains = vec![Domain {
             name: SIMULATION.to_owned(),
@@ -271,11 +278,13 @@ impl Recipe {
             });
             rest = others;
         }
+        bar.set_length(looks(&domains, rest, &labelled, self.wanted.metric));
         let Calibrated {
             components,
             false_alarms,
             mut sources,
         } = calibrate(&domains, rest, &labelled, &self.model.taps, self.wanted)?;
+        bar.finish_and_clear();
         for name in &self.labelled {
             let frames = labelled_spec(name)?.frames();
             sources.push(SourceUse {
@@ -344,6 +353,42 @@ impl Recipe {
         }
         add("--out", &["reference.json".to_owned()]);
         Ok(words.join(" "))
+    }
+}
+
+/// A drive whose looks are counted.
+struct Watched<'a, T> {
+    drive: &'a Stored<T>,
+    bar: &'a ProgressBar,
+}
+
+fn watched<'a, T>(drives: &'a [Stored<T>], bar: &'a ProgressBar) -> Vec<Watched<'a, T>> {
+    drives.iter().map(|drive| Watched { drive, bar }).collect()
+}
+
+impl Drive for Watched<'_, Survey> {
+    fn source(&self) -> &str {
+        self.drive.source()
+    }
+
+    fn frames(&self) -> usize {
+        Drive::frames(self.drive)
+    }
+
+    fn survey(&self) -> Result<Cow<'_, Survey>, StoreError> {
+        self.bar.inc(1);
+        self.drive.survey()
+    }
+}
+
+impl LabelledDrive for Watched<'_, Vec<LabelledMeans>> {
+    fn frames(&self) -> usize {
+        LabelledDrive::frames(self.drive)
+    }
+
+    fn means(&self) -> Result<Cow<'_, [LabelledMeans]>, StoreError> {
+        self.bar.inc(1);
+        self.drive.means()
     }
 }
 

@@ -1,21 +1,21 @@
 //! `gapwatch replay`: a drive through the monitor, its verdicts to journal and bus.
 
-use std::collections::BTreeMap;
-use std::io::{IsTerminal, Write};
+use std::collections::{BTreeMap, HashSet};
+use std::io::Write;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail};
 use gapwatch::alarm::AlarmState;
 use gapwatch::can::{CanSettings, Sink};
-use gapwatch::evidence::{Kept, Recorder};
-use gapwatch::frame::{BUILT_IN_DRIVE, open};
-use gapwatch::journal::{About, Journal};
+use gapwatch::evidence::Recorder;
+use gapwatch::frame::{BUILT_IN_DRIVE, Frame, open};
+use gapwatch::journal::{About, Journal, RecordingJournal};
 use gapwatch::pipeline::{Monitor, Verdict};
 use gapwatch::reference::Reference;
-use indicatif::ProgressBar;
 
 use super::bus::Bus;
-use super::{Model, progress, state_line};
+use super::live::Live;
+use super::{Model, state_line, tell_evidence};
 use crate::args::{ReplayArgs, Speed};
 
 /// With `--check`: a judging state for at least this share of the time after `Init`, or "could not judge".
@@ -36,14 +36,7 @@ struct Summary {
 }
 
 pub fn run(args: &ReplayArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
-    if let (Sink::LogFile(log), Some(journal)) = (&args.can, &args.journal)
-        && std::path::absolute(log)? == std::path::absolute(journal)?
-    {
-        bail!(
-            "{}: wanted two files for the journal and the CAN log",
-            log.display()
-        );
-    }
+    check_outputs(args)?;
     let model = Model::load(&args.model)?;
     let reference = Reference::read(args.reference.as_deref())?;
     let reference_name = args
@@ -59,8 +52,14 @@ pub fn run(args: &ReplayArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
         .as_deref()
         .map(|path| Journal::create(path, &model.spec.taps))
         .transpose()?;
+    let about = About::new(source_name, &reference_name, &reference);
+    let recording = args
+        .mcap
+        .as_deref()
+        .map(|path| RecordingJournal::create(path, &model.spec.taps, &about))
+        .transpose()?;
     if let Some(journal) = &mut journal {
-        journal.describe(About::new(source_name, &reference_name, &reference));
+        journal.describe(about);
     }
     let mut recorder = args
         .evidence
@@ -75,18 +74,19 @@ pub fn run(args: &ReplayArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
         ..CanSettings::default()
     };
     let bus = Bus::new(&args.can, settings, &reference)?;
-    let bar = progress::frames(source.frame_count(), "replaying");
+    let live = Live::new(source.frame_count(), args.quiet);
     // With the CAN log on standard output, the lines for people go where they do not mix with it.
-    let mut aside = std::io::stderr();
-    let out: &mut dyn Write = if args.can == Sink::Stdout {
-        &mut aside
-    } else {
-        out
+    let (mut aside, mut nowhere) = (std::io::stderr(), std::io::sink());
+    let out: &mut dyn Write = match args.can {
+        _ if args.quiet => &mut nowhere,
+        Sink::Stdout => &mut aside,
+        _ => out,
     };
     let mut told = Told {
         journal,
+        recording,
         bus,
-        bar,
+        live,
         summary: Summary::default(),
     };
     let began = Instant::now();
@@ -94,6 +94,7 @@ pub fn run(args: &ReplayArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
         if args.speed == Speed::Realtime {
             std::thread::sleep(frame.captured_at.saturating_sub(began.elapsed()));
         }
+        told.record(&frame, source.began_at())?;
         if let Some(silence) = monitor.silence(frame.captured_at) {
             told.tell(&silence, Duration::ZERO, out)?;
         }
@@ -101,20 +102,24 @@ pub fn run(args: &ReplayArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
         let verdict = monitor.step(&frame);
         told.tell(&verdict, taken.elapsed(), out)?;
         if let Some(recorder) = &mut recorder {
-            recorder.offer(&frame, &verdict, || monitor.look());
+            recorder.offer(frame, &verdict, || monitor.look());
         }
-        told.bar.inc(1);
+        told.live.count();
     }
     let Told {
         journal,
+        recording,
         bus,
-        bar,
+        live,
         summary,
     } = told;
-    bar.finish_and_clear();
+    live.finish();
     bus.finish()?;
     if let Some(journal) = journal {
         journal.finish()?;
+    }
+    if let Some(recording) = recording {
+        recording.finish()?;
     }
     summary.tell(began.elapsed(), out)?;
     if let Some(recorder) = recorder {
@@ -123,29 +128,45 @@ pub fn run(args: &ReplayArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
     Ok(if args.check { summary.found() } else { 0 })
 }
 
-fn tell_evidence(kept: Kept, out: &mut dyn Write) -> std::io::Result<()> {
-    write!(out, "evidence: {} events written", kept.events)?;
-    for (count, what) in [
-        (kept.removed, "older ones removed"),
-        (kept.failed, "could not be written"),
-        (kept.dropped_frames, "frames left out"),
-    ] {
-        if count > 0 {
-            write!(out, ", {count} {what}")?;
+/// Every output has a file of its own.
+fn check_outputs(args: &ReplayArgs) -> anyhow::Result<()> {
+    let log = match &args.can {
+        Sink::LogFile(log) => Some(log),
+        _ => None,
+    };
+    let mut files = HashSet::new();
+    for file in [log, args.journal.as_ref(), args.mcap.as_ref()] {
+        if let Some(file) = file
+            && !files.insert(std::path::absolute(file)?)
+        {
+            bail!(
+                "{}: wanted a file of its own for each of CAN log, journal and MCAP recording",
+                file.display()
+            );
         }
     }
-    writeln!(out)
+    Ok(())
 }
 
 /// Everybody who hears of a verdict.
 struct Told {
     journal: Option<Journal>,
+    recording: Option<RecordingJournal>,
     bus: Bus,
-    bar: ProgressBar,
+    live: Live,
     summary: Summary,
 }
 
 impl Told {
+    /// Keeps a frame that is about to be judged.
+    fn record(&mut self, frame: &Frame, began_at: Option<Duration>) -> anyhow::Result<()> {
+        if let Some(recording) = &mut self.recording {
+            recording.begin_at(began_at.unwrap_or_default());
+            recording.add_image(frame)?;
+        }
+        Ok(())
+    }
+
     /// Tells bus and journal, and people when the state has changed.
     fn tell(
         &mut self,
@@ -158,23 +179,18 @@ impl Told {
         if let Some(journal) = &mut self.journal {
             journal.add(verdict, latency)?;
         }
-        if before != Some(verdict.state) {
-            tell_change(verdict, &self.bar, out)?;
+        if let Some(recording) = &mut self.recording {
+            recording.add(verdict, latency)?;
         }
+        if before != Some(verdict.state) {
+            self.live.above(|| {
+                writeln!(out, "{}", state_line(verdict))?;
+                out.flush()
+            })?;
+        }
+        self.live.show(verdict, latency);
         Ok(())
     }
-}
-
-/// One line for a change of state; never torn by the progress bar.
-fn tell_change(verdict: &Verdict, bar: &ProgressBar, out: &mut dyn Write) -> anyhow::Result<()> {
-    let line = state_line(verdict);
-    if std::io::stderr().is_terminal() {
-        bar.suspend(|| writeln!(out, "{line}"))
-    } else {
-        writeln!(out, "{line}")
-    }?;
-    out.flush()?;
-    Ok(())
 }
 
 impl Summary {

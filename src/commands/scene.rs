@@ -15,6 +15,7 @@ use sha2::{Digest, Sha256};
 
 use super::new_folder::NewFolder;
 use super::pictures::write_png;
+use super::progress;
 use crate::args::{SceneArgs, SceneList};
 
 /// One line of `scenes.jsonl`.
@@ -52,13 +53,18 @@ pub fn run(args: &SceneArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
         let path = folder.path().join(part);
         fs::create_dir(&path).with_context(|| format!("cannot create {}", path.display()))?;
     }
+    let bar = progress::over(Some(args.count.into()), "rendering", "scenes");
     let lines = (0..args.count)
         .into_par_iter()
         .map_init(
             || Renderer::new(args.size.width, args.size.height),
-            |renderer, index| render_scene(args, index, renderer, folder.path()),
+            |renderer, index| {
+                bar.inc(1);
+                render_scene(args, index, renderer, folder.path())
+            },
         )
         .collect::<anyhow::Result<Vec<_>>>()?;
+    bar.finish_and_clear();
     let list = folder.path().join("scenes.jsonl");
     fs::write(&list, lines.concat()).with_context(|| format!("cannot write {}", list.display()))?;
     folder.keep()?;

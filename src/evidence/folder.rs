@@ -3,6 +3,7 @@
 use std::fs::{self, File};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
+use std::time::SystemTime;
 
 use super::Quota;
 use super::reading::{EVENT_FILE, Event};
@@ -10,11 +11,18 @@ use super::reading::{EVENT_FILE, Event};
 /// Names under which events are written and removed; never taken for an event.
 const UNFINISHED: &str = ".unfinished-";
 
+/// An event in the folder.
+struct OnDisk {
+    number: u64,
+    bytes: u64,
+    written: SystemTime,
+}
+
 pub struct EventFolder {
     path: PathBuf,
     quota: Quota,
-    /// Number and bytes of the events, oldest first.
-    events: Vec<(u64, u64)>,
+    /// Oldest first.
+    events: Vec<OnDisk>,
     next: u64,
 }
 
@@ -30,11 +38,15 @@ impl EventFolder {
             if name.starts_with(UNFINISHED) {
                 fs::remove_dir_all(entry.path())?;
             } else if let Some(number) = number(&name) {
-                events.push((number, bytes_in(&entry.path())?));
+                events.push(OnDisk {
+                    number,
+                    bytes: bytes_in(&entry.path())?,
+                    written: entry.metadata()?.modified()?,
+                });
             }
         }
-        events.sort_unstable();
-        let next = events.last().map_or(1, |(number, _)| number + 1);
+        events.sort_unstable_by_key(|event| event.number);
+        let next = events.last().map_or(1, |event| event.number + 1);
         // Better refused at the start than counted at the first alarm.
         let probe = path.join(format!("{UNFINISHED}probe"));
         fs::create_dir(&probe)?;
@@ -73,7 +85,11 @@ impl EventFolder {
             let _ = fs::remove_dir_all(&unfinished);
             return Err(error);
         }
-        self.events.push((self.next, bytes));
+        self.events.push(OnDisk {
+            number: self.next,
+            bytes,
+            written: SystemTime::now(),
+        });
         self.next += 1;
         Ok(removed)
     }
@@ -93,12 +109,29 @@ impl EventFolder {
         fs::rename(unfinished, self.path.join(format!("{:06}", self.next)))
     }
 
+    /// Removes events that are kept for longer than they may be, at the time `now`; gives how many.
+    pub fn expire(&mut self, now: SystemTime) -> io::Result<u64> {
+        let Some(keep) = self.quota.keep else {
+            return Ok(0);
+        };
+        let mut removed = 0;
+        let old = |event: &OnDisk| {
+            now.duration_since(event.written)
+                .is_ok_and(|age| age > keep)
+        };
+        while self.events.first().is_some_and(old) {
+            self.remove_oldest()?;
+            removed += 1;
+        }
+        Ok(removed)
+    }
+
     fn bytes(&self) -> u64 {
-        self.events.iter().map(|(_, bytes)| bytes).sum()
+        self.events.iter().map(|event| event.bytes).sum()
     }
 
     fn remove_oldest(&mut self) -> io::Result<()> {
-        let (number, _) = self.events.remove(0);
+        let number = self.events.remove(0).number;
         let gone = self.path.join(format!("{UNFINISHED}{number:06}-gone"));
         match fs::rename(self.path.join(format!("{number:06}")), &gone) {
             Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(()),

@@ -59,6 +59,11 @@ pub fn read(folder: &Path) -> Result<Vec<(PathBuf, Event)>, ReadError> {
         if event.edge >= event.moments.len() {
             return Err(refused(&path, format!("edge {}", event.edge)));
         }
+        let mut profiles = event.moments.iter().flat_map(|moment| &moment.profiles);
+        if let Some(broken) = profiles.find(|profile| !profile.is_whole()) {
+            let found = format!("numbers of {} that do not belong together", broken.tap);
+            return Err(refused(&path, found));
+        }
         Ok((folder, event))
     });
     events.collect()

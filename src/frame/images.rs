@@ -4,13 +4,19 @@ use std::fs;
 use std::io::Cursor;
 use std::path::{Path, PathBuf};
 
-use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader};
+use image::codecs::jpeg::JpegEncoder;
+use image::{
+    DynamicImage, ExtendedColorType, ImageDecoder, ImageEncoder, ImageFormat, ImageReader,
+};
 
 use super::names::name_order;
 use super::pixels::Pixels;
 use super::{
     FOLDER_FPS, Frame, FrameSource, PIXELS_MAX, Picture, PictureError, SourceError, time_of,
 };
+
+/// Quality of pictures that are written, of 100.
+const JPEG_QUALITY: u8 = 85;
 
 /// Whether the name ends like an image that can be read.
 pub fn is_image(path: &Path) -> bool {
@@ -89,10 +95,14 @@ impl FrameSource for ImageSource {
 }
 
 fn read(path: &Path) -> Result<Picture, String> {
-    let bytes = fs::read(path).map_err(|error| error.to_string())?;
-    let format = image::guess_format(&bytes)
+    decoded(&fs::read(path).map_err(|error| error.to_string())?)
+}
+
+/// The picture in the bytes of a PNG or JPEG image, or what is wrong with them.
+pub fn decoded(bytes: &[u8]) -> Result<Picture, String> {
+    let format = image::guess_format(bytes)
         .map_err(|_| format!("{} bytes that are no image", bytes.len()))?;
-    if !is_whole(format, &bytes) {
+    if !is_whole(format, bytes) {
         return Err(format!("an image cut off after {} bytes", bytes.len()));
     }
     let decoder = ImageReader::with_format(Cursor::new(bytes), format)
@@ -110,6 +120,21 @@ fn read(path: &Path) -> Result<Picture, String> {
         height,
         rgb: picture.into_raw(),
     })
+}
+
+/// A picture as JPEG.
+///
+/// # Errors
+/// When a picture has no pixels, or more than the format takes.
+pub fn jpeg(picture: &Picture) -> image::ImageResult<Vec<u8>> {
+    let mut bytes = Vec::new();
+    JpegEncoder::new_with_quality(&mut bytes, JPEG_QUALITY).write_image(
+        &picture.rgb,
+        picture.width,
+        picture.height,
+        ExtendedColorType::Rgb8,
+    )?;
+    Ok(bytes)
 }
 
 /// The last eight bytes of a PNG: the name of its end chunk and the checksum of that.

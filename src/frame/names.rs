@@ -6,7 +6,7 @@ use std::time::UNIX_EPOCH;
 
 use sha2::{Digest, Sha256};
 
-use super::{SourceError, path_and_fps};
+use super::{FileName, SourceError, file_name};
 
 /// Most drives that one name may stand for.
 const DRIVES_MAX: u64 = 10_000;
@@ -124,7 +124,7 @@ pub fn stamp(name: &str) -> Result<String, SourceError> {
     if name.starts_with("scene:") || name.starts_with("random:") {
         return Ok(String::new());
     }
-    let (path, _) = path_and_fps(name)?;
+    let FileName { path, .. } = file_name(name)?;
     let unreadable = |error| SourceError::Unreadable {
         path: path.to_owned(),
         error,

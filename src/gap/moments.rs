@@ -225,6 +225,21 @@ impl EnergyNorm {
         total / self.mean.len().max(1) as f64
     }
 
+    /// Nominal spread of each energy, nats: `[energies]`, the square roots of the diagonal of the covariance that distances
+    /// are measured with.
+    pub fn spreads(&self) -> Vec<f64> {
+        let len = self.mean.len();
+        let mut whitening = DMatrix::zeros(len, len);
+        let places = (0..len).flat_map(|row| (0..=row).map(move |column| (row, column)));
+        for (place, &weight) in places.zip(&self.whitening) {
+            whitening[place] = f64::from(weight);
+        }
+        // Whitening is the inverse of a Cholesky factor of the covariance.
+        let mut factor = DMatrix::identity(len, len);
+        whitening.solve_lower_triangular_mut(&mut factor);
+        factor.row_iter().map(|row| row.norm()).collect()
+    }
+
     /// What is wrong with a norm read from a file, if anything.
     pub fn fault(&self) -> Option<String> {
         let len = self.mean.len();
@@ -295,6 +310,21 @@ mod tests {
             norm.distance(&[4096, 1024], 1)
         );
         assert!(norm.distance(&[1024, 2048], 1) < 1e-12);
+    }
+
+    #[test]
+    fn spreads_come_back_from_the_whitening() {
+        let frames = moments(&[[0, 100], [2048, 1500], [300, 4096], [1048, 2096]]);
+        let norm = EnergyNorm::fit(1.0, &frames, None).unwrap();
+        let covariance = frames.covariance();
+        for (i, spread) in norm.spreads().into_iter().enumerate() {
+            // The correlation matrix is shrunk towards the identity, whose diagonal is 1; its own falls short of 1 by what the
+            // floor adds to the spread.
+            let spread2 = covariance[(i, i)] + SPREAD_FLOOR * SPREAD_FLOOR;
+            let diagonal = (1.0 - SHRINKAGE) * covariance[(i, i)] / spread2 + SHRINKAGE;
+            let wanted = (spread2 * diagonal).sqrt();
+            assert!((spread - wanted).abs() < 1e-5 * wanted, "{spread} {wanted}");
+        }
     }
 
     #[test]

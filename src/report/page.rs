@@ -5,7 +5,7 @@ use std::fmt::{self, Display, Write};
 use serde::Serialize;
 use sha2::{Digest, Sha256};
 
-use super::{Alarm, Report, Shown};
+use super::{Alarm, Evidence, Report, Shown, chart};
 use crate::alarm::AlarmState;
 use crate::journal::Entry;
 
@@ -32,7 +32,7 @@ const STATES: [(AlarmState, &str); 6] = [
 ];
 
 /// Text of others, set apart: whatever it holds, it stays text and turns no line around it.
-struct Text<'a>(&'a str);
+pub struct Text<'a>(pub &'a str);
 
 impl Display for Text<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -330,7 +330,7 @@ fn alarms(report: &Report, out: &mut String) -> fmt::Result {
 fn behind(
     report: &Report,
     alarm: &Alarm,
-    shown: Option<&Vec<Shown>>,
+    shown: Option<&Evidence>,
     out: &mut String,
 ) -> fmt::Result {
     let (first, worst, next) = alarm.lines;
@@ -340,12 +340,25 @@ fn behind(
         "<div class=\"closer\" data-from=\"{}\" data-to=\"{}\"></div>",
         alarm.from_s, alarm.to_s
     )?;
-    if let Some(shown) = shown {
+    if let Some(Evidence {
+        pictures: shown,
+        profiles,
+    }) = shown
+    {
         let (seen, heat): (Vec<&Shown>, Vec<&Shown>) =
             shown.iter().partition(|shown| shown.tap.is_none());
         pictures("What the camera saw", "Frame", &seen, out)?;
         let title = "Where the encoder looked, brighter is more";
         pictures(title, "Energies over the frame", &heat, out)?;
+        if !profiles.is_empty() {
+            out.write_str(
+                "<h3>What it found there, against the reference</h3><div class=\"profiles\">",
+            )?;
+            for profile in profiles {
+                chart::profile(profile, out)?;
+            }
+            out.write_str("</div>")?;
+        }
     }
     out.write_str(
         "<h3>By tap</h3><table><thead><tr><th scope=\"col\">Tap</th><th scope=\"col\" class=\"n\">Gap before</th>\

@@ -3,6 +3,7 @@
 usage: check_report.py JOURNAL REPORT.html [FOLDER for screenshots]
 """
 
+import base64
 import json
 import os
 import sys
@@ -127,6 +128,35 @@ def check_alarms(page, lines):
         assert not behind.is_displayed()
 
 
+def check_evidence(page):
+    """Every alarm with pictures has a drawing a tap: bars, and the grid of regions with shares that sum to 100."""
+    for behind in page.find_elements(By.CSS_SELECTOR, "tr.behind"):
+        pictures = behind.find_elements(By.CSS_SELECTOR, ".evidence img[alt^=Energies]")
+        drawings = behind.find_elements(By.CSS_SELECTOR, ".profiles figure")
+        assert bool(pictures) == bool(drawings), f"{len(pictures)} heat maps, {len(drawings)} drawings"
+        for drawing in drawings:
+            assert len(drawing.find_elements(By.CSS_SELECTOR, ".profile rect.live")) >= 16
+            numbers = drawing.find_elements(By.CSS_SELECTOR, ".regions text")
+            shares = [int(number.get_attribute("textContent")) for number in numbers]
+            assert len(shares) == 16 and 92 <= sum(shares) <= 108, shares
+
+
+def check_print(page):
+    """On paper every alarm is open, nothing is cut off at the right, and there are no buttons."""
+    page.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "print"})
+    page.execute_script("window.dispatchEvent(new Event('beforeprint'))")
+    for behind in page.find_elements(By.CSS_SELECTOR, "tr.behind"):
+        assert behind.is_displayed()
+        assert behind.find_elements(By.CSS_SELECTOR, ".closer svg"), "no closer look"
+    wide = page.execute_script("return document.documentElement.scrollWidth - document.documentElement.clientWidth")
+    assert wide <= 0, f"{wide} pixels too wide"
+    assert not page.find_element(By.ID, "in").is_displayed()
+    pdf = base64.b64decode(page.execute_cdp_cmd("Page.printToPDF", {"printBackground": True})["data"])
+    assert pdf.startswith(b"%PDF") and len(pdf) > 10_000
+    page.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": ""})
+    return pdf
+
+
 def check_zoom(page):
     assert text(page, "#range") == ""
     zoom = page.find_element(By.ID, "in")
@@ -167,9 +197,13 @@ def main():
                     check_numbers(page, lines)
                     check_alarms(page, lines)
                 check_zoom(page)
+            check_evidence(page)
+            emulate(page, SIZES["light"], "light")
+            pdf = check_print(page)
             assert page.execute_script("return window.hacked") is None
             if len(sys.argv) > 3:
                 shoot(page, sys.argv[3])
+                (Path(sys.argv[3]) / "print.pdf").write_bytes(pdf)
             errors = page.get_log("browser")
             assert not errors, errors
             asked = [json.loads(entry["message"])["message"] for entry in page.get_log("performance")]

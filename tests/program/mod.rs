@@ -116,3 +116,34 @@ fn parts(text: &str) -> Vec<String> {
         .map(|part| part.iter().map(|&i| chars[i]).collect())
         .collect()
 }
+
+/// The names of the events; each must be whole.
+pub fn whole_events(folder: &Path) -> Vec<String> {
+    let mut events = Vec::new();
+    for entry in fs::read_dir(folder).into_iter().flatten() {
+        let name = entry.unwrap().file_name().into_string().unwrap();
+        if name.starts_with('.') {
+            continue;
+        }
+        let event = folder.join(&name);
+        let json: serde_json::Value =
+            serde_json::from_slice(&fs::read(event.join("event.json")).unwrap()).unwrap();
+        let moments = json["moments"].as_array().unwrap();
+        let heat = moments
+            .iter()
+            .flat_map(|moment| moment["heat"].as_object())
+            .flatten();
+        let named: Vec<&serde_json::Value> = moments
+            .iter()
+            .map(|moment| &moment["frame"])
+            .chain(heat.map(|(_, file)| file))
+            .collect();
+        for file in &named {
+            image::open(event.join(file.as_str().unwrap())).unwrap();
+        }
+        assert_eq!(files(&event).len(), named.len() + 1);
+        events.push(name);
+    }
+    events.sort();
+    events
+}

@@ -33,7 +33,7 @@ pub fn rows(watched: &Watched, args: &EvaluateArgs) -> anyhow::Result<Vec<Row<De
         .iter()
         .flat_map(|event| (0..drives).map(|n| event.script(args.look, n.into())))
         .collect();
-    let bar = progress::frames(Some(scripts.len() as u64), "events");
+    let bar = progress::over(Some(scripts.len() as u64), "events", "drives");
     let scores = scores_of(&scripts, &watched.encoder, &watched.reference, &|| {
         bar.inc(1)
     })?;

@@ -36,7 +36,7 @@ pub fn rows(watched: &Watched, args: &EvaluateArgs) -> anyhow::Result<Vec<Row<Fa
     let scripts: Vec<Script> = (0..drives)
         .map(|n| false_alarms::script(args.look, n.into(), seconds))
         .collect();
-    let bar = progress::frames(Some(scripts.len() as u64), "nominal drives");
+    let bar = progress::over(Some(scripts.len() as u64), "false alarms", "drives");
     let scores = scores_of(&scripts, &watched.encoder, &watched.reference, &|| {
         bar.inc(1)
     })?;

@@ -70,7 +70,11 @@ pub fn rows(field: &Field, args: &EvaluateArgs) -> anyhow::Result<Vec<Row<FieldS
         },
     ];
     let taps = field.taps();
-    let bar = progress::frames(Some((cases.len() * steps(taps.len())) as u64), "gaps");
+    let bar = progress::over(
+        Some((cases.len() * steps(taps.len())) as u64),
+        "field sets",
+        "gaps",
+    );
     let mut rows = Vec::new();
     for case in &cases {
         let found = rows_of(case, taps, &|| bar.inc(1))?;

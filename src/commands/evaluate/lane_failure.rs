@@ -58,7 +58,7 @@ fn sizes(quick: bool) -> Sizes {
 /// Every method at every rate.
 pub fn rows(judged: &Judged, args: &EvaluateArgs) -> anyhow::Result<Vec<Row<LaneFailure>>> {
     let sizes = sizes(args.quick);
-    let bar = progress::frames(Some(sizes.drives()), "drives");
+    let bar = progress::over(Some(sizes.drives()), "lane failure", "drives");
     let Judged { spec, encoder, .. } = judged;
     let rows = lane_failure::rows(&spec.taps, encoder, &spec.preprocessing, sizes, &|| {
         bar.inc(1)

@@ -55,9 +55,10 @@ pub fn rows(
         (None, false) => SCENES.0,
     };
     let settings = Setting::all();
-    let bar = progress::frames(
+    let bar = progress::over(
         Some(models.len() as u64 * settings.len() as u64 * u64::from(scenes)),
         "lane IoU",
+        "scenes",
     );
     let mut rows = Vec::new();
     for (spec, encoder) in models {
