@@ -35,7 +35,7 @@ pub const COMPONENTS_MAX: usize = 64;
 pub const SPREAD_MIN: f64 = 1e-9;
 
 /// Largest file: four times what all components of the shipped model would take.
-const BYTES_MAX: u64 = 64 << 20;
+pub(crate) const BYTES_MAX: u64 = 64 << 20;
 const FORMAT: &str = "gapwatch-reference";
 const VERSION: u32 = 3;
 const BUILT_IN: &str = include_str!("../calibration/sim.json");

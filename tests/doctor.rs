@@ -108,7 +108,11 @@ fn what_fails_is_named_with_what_to_do() {
 #[test]
 fn a_bus_that_is_not_there_or_no_bus_is_told() {
     let folder = tempfile::tempdir().unwrap();
-    for (interface, said) in [("nocan7", "ip link add nocan7"), ("lo", "CAN")] {
+    for (interface, said) in [
+        ("vcan77", "ip link add vcan77"),
+        ("nocan7", "plug"),
+        ("lo", "CAN"),
+    ] {
         let board = DESK.replace("log:can.log", &format!("socketcan:{interface}"));
         let ran = doctor(folder.path(), &board, &["--format", "json"]);
         let all = checks(&ran);

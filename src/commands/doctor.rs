@@ -127,7 +127,9 @@ fn examine(args: &DoctorArgs) -> Vec<Check> {
     });
     checks.push(clock::check());
     checks.push(folders::check("journal", args.journal.as_deref()));
-    checks.push(folders::check("evidence", args.evidence.as_deref()));
+    let evidence = board.evidence.as_ref().map(|kept| kept.folder.as_path());
+    let evidence = args.evidence.as_deref().or(evidence);
+    checks.push(folders::check("evidence", evidence));
     checks
 }
 

@@ -134,7 +134,7 @@ pub fn run(args: &MonitorArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
             parking: Parking::new(parked_after),
             complained_at: Duration::ZERO,
             live: Live::new(None, args.quiet),
-            service: Service::new(),
+            service: Service::new(periods.idle),
             out: &mut *out,
         };
         let told = teller.tell_all(&told, shared, limit);

@@ -5,6 +5,9 @@ use std::time::Duration;
 
 use sd_notify::{NotifyState, notify, watchdog_enabled};
 
+/// A judge that does not come round for this long, beyond its own pauses, hangs.
+const HANGS: Duration = Duration::from_secs(5);
+
 /// One monitor, as the service manager sees it.
 pub struct Service {
     /// Time between two signs of life; `None` when nobody waits for them.
@@ -12,35 +15,43 @@ pub struct Service {
     ready: bool,
     /// When it was last said that we live.
     said_at: Duration,
-    /// Rounds of the judge that were known then.
-    rounds: u64,
+    /// Rounds of the judge, and when their number last changed.
+    rounds: (u64, Duration),
+    /// Longest time between two rounds of a judge that is well.
+    longest: Duration,
 }
 
 impl Service {
-    pub fn new() -> Self {
+    /// Of a monitor that judges at least one frame in `pause`.
+    pub fn new(pause: Duration) -> Self {
         Self {
             // Three chances before the time is over.
             period: watchdog_enabled().map(|limit| limit / 3),
             ready: false,
             said_at: Duration::ZERO,
-            rounds: 0,
+            rounds: (0, Duration::ZERO),
+            longest: pause + HANGS,
         }
     }
 
     /// After the bus was served at `now`: ready at the first word on the road, or on why there is none, and alive as long
     /// as the judge goes round. One that hangs in a frame is reported as stale, but only a restart helps it.
     pub fn served(&mut self, now: Duration, judged_or_fault: bool, rounds: u64) {
-        if !judged_or_fault {
+        if rounds != self.rounds.0 {
+            self.rounds = (rounds, now);
+        }
+        if !judged_or_fault || now.saturating_sub(self.rounds.1) > self.longest {
             return;
         }
         if !self.ready {
             self.ready = true;
             say(&[NotifyState::Ready]);
         }
-        let due = |period| now >= self.said_at + period;
-        if rounds != self.rounds && self.period.is_some_and(due) {
+        if self
+            .period
+            .is_some_and(|period| now >= self.said_at + period)
+        {
             self.said_at = now;
-            self.rounds = rounds;
             say(&[NotifyState::Watchdog]);
         }
     }

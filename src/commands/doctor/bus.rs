@@ -31,10 +31,15 @@ pub fn check(board: &Board) -> Vec<Check> {
         Err(error) => {
             let why = format!("{:#}", anyhow::Error::new(error));
             let remedy = match interface(sink) {
-                Some(name) if !sysfs(name, "").exists() => format!(
-                    "plug the adapter in or load its driver ({name} is not among ip -br link), or make it: ip link add {name} type vcan"
+                Some(name) if sysfs(name, "").exists() => {
+                    "name a CAN interface as sink in [can]".to_owned()
+                }
+                Some(name) if name.starts_with("vcan") => {
+                    format!("ip link add {name} type vcan && ip link set {name} up")
+                }
+                Some(name) => format!(
+                    "plug the adapter in or load its driver: {name} is not among ip -br link"
                 ),
-                Some(_) => "name a CAN interface as sink in [can]".to_owned(),
                 None => "name a log in a folder that can be written".to_owned(),
             };
             return vec![Check::fail("bus", why, remedy)];
