@@ -4,7 +4,7 @@
 //! `tests/vehicle/run` builds the package, runs this and shows what was measured; `tests/vehicle/guest.sh` is what happens
 //! inside. The machine's clock counts instructions, so milliseconds are millions of them.
 #![cfg(feature = "can")]
-#![allow(clippy::unwrap_used)]
+#![allow(clippy::unwrap_used, clippy::print_stdout)]
 
 mod clips;
 mod program;
