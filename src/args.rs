@@ -33,6 +33,8 @@ pub enum Command {
     Evaluate(EvaluateArgs),
     Report(ReportArgs),
     Bench(BenchArgs),
+    Doctor(DoctorArgs),
+    PackageFiles(PackageFilesArgs),
 }
 
 /// How sources are named, for the help of every command that takes one.
@@ -458,6 +460,39 @@ impl std::fmt::Display for PixelChoice {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.write_str(&format!("{self:?}").to_uppercase())
     }
+}
+
+/// Check whether a board can do what its file asks, and say what to do where it cannot
+///
+/// One line a check, pass, fail or left out: board file, model, reference, camera and its formats, bus and who else is on it,
+/// time and memory of a frame, clock, folders. Sends nothing. Exit code 0 when nothing fails, else 2. A camera that the
+/// monitor is using is busy: stop it first.
+#[derive(Debug, Args)]
+#[command(
+    after_help = "Example:\n  gapwatch doctor --board boards/desk-vcan.toml --journal drive.jsonl"
+)]
+pub struct DoctorArgs {
+    /// Board file: camera, bus, reference; boards/README.md has the words
+    #[arg(long, value_name = "FILE.toml")]
+    pub board: PathBuf,
+    /// Journal that the monitor is to write
+    #[arg(long, value_name = "FILE")]
+    pub journal: Option<PathBuf>,
+    /// Folder that is to hold evidence
+    #[arg(long, value_name = "DIR")]
+    pub evidence: Option<PathBuf>,
+    /// How the result is written
+    #[arg(long, value_enum, default_value = "table")]
+    pub format: TableFormat,
+}
+
+/// Write what a package holds beside the program: man pages and shell completions
+#[derive(Debug, Args)]
+#[command(hide = true)]
+pub struct PackageFilesArgs {
+    /// Folder to write, laid out as /usr/share
+    #[arg(value_name = "DIR")]
+    pub out: PathBuf,
 }
 
 /// Who runs the encoder.

@@ -5,7 +5,6 @@
 
 mod evidence;
 
-use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -13,10 +12,13 @@ use serde::Deserialize;
 
 use crate::can::speed::SpeedSignal;
 use crate::can::{CanSettings, LARGEST_ID, MessageIds, Sink};
+use crate::whole_file::read_text;
 
 pub use evidence::EvidenceBoard;
 use evidence::EvidenceTable;
 
+/// Largest file.
+const BYTES_MAX: u64 = 1 << 16;
 /// Most frames a second that a board may ask for.
 const RATE_MAX_HZ: f64 = 240.0;
 /// Pixel formats of cameras that are understood, by the names of V4L2.
@@ -29,6 +31,12 @@ const LISTEN: Duration = Duration::from_secs(2);
 const PARKED_BELOW_KMH: f64 = 1.0;
 /// And one that stands for this long is parked: at a crossing it does not.
 const PARKED_AFTER: Duration = Duration::from_secs(60);
+/// A frame may take this share of the time between two, unless the board says otherwise: the rest is for everyone else.
+const FRAME_SHARE: f64 = 0.5;
+/// Memory that is allowed, unless the board says otherwise, MiB: thrice what the shipped model needs, and frames of 1080p.
+const MEMORY_MIB: f64 = 192.0;
+/// Most milliseconds or MiB that a board may allow.
+const AMOUNT_MAX: f64 = 100_000.0;
 /// Longest time that a board may ask for: of listening, and of standing before the car is parked.
 const SECONDS_MAX: f64 = 60.0;
 
@@ -66,6 +74,8 @@ pub struct Board {
     pub monitor: MonitorBoard,
     /// Pictures of alarms; `None` = none are kept.
     pub evidence: Option<EvidenceBoard>,
+    /// What a frame may cost; the doctor checks it.
+    pub budget: Budget,
 }
 
 /// Where frames come from.
@@ -114,6 +124,15 @@ pub struct MonitorBoard {
     pub idle_rate_hz: f64,
 }
 
+/// What a frame may cost.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Budget {
+    /// Time from a frame to its verdict, 99 of 100 frames.
+    pub frame: Duration,
+    /// Memory of the whole program, MiB.
+    pub memory_mib: f64,
+}
+
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct File {
@@ -122,6 +141,8 @@ struct File {
     #[serde(default)]
     monitor: MonitorTable,
     evidence: Option<EvidenceTable>,
+    #[serde(default)]
+    budget: BudgetTable,
 }
 
 #[derive(Deserialize)]
@@ -182,6 +203,29 @@ struct MonitorTable {
     strict: bool,
     rate_hz: Option<Rate>,
     idle_rate_hz: Option<Rate>,
+}
+
+#[derive(Default, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct BudgetTable {
+    frame_ms: Option<Amount>,
+    memory_mib: Option<Amount>,
+}
+
+#[derive(Clone, Copy, Deserialize)]
+#[serde(try_from = "f64")]
+struct Amount(f64);
+
+impl TryFrom<f64> for Amount {
+    type Error = String;
+
+    fn try_from(amount: f64) -> Result<Self, String> {
+        if (1.0..=AMOUNT_MAX).contains(&amount) {
+            Ok(Self(amount))
+        } else {
+            Err(format!("{amount}; wanted a number from 1 to {AMOUNT_MAX}"))
+        }
+    }
 }
 
 #[derive(Clone, Deserialize)]
@@ -289,7 +333,7 @@ impl Board {
     /// # Errors
     /// When the file cannot be read, or anything in it is not understood.
     pub fn read(path: &Path) -> Result<Self, BoardError> {
-        let text = fs::read_to_string(path).map_err(|error| BoardError::Unreadable {
+        let text = read_text(path, BYTES_MAX).map_err(|error| BoardError::Unreadable {
             path: path.to_owned(),
             error,
         })?;
@@ -345,6 +389,15 @@ impl Board {
                 quota: table.quota(),
                 folder: beside(table.folder),
             }),
+            budget: Budget {
+                frame: file
+                    .budget
+                    .frame_ms
+                    .map_or(Duration::from_secs_f64(FRAME_SHARE / rate_hz), |ms| {
+                        Duration::from_secs_f64(ms.0 / 1e3)
+                    }),
+                memory_mib: file.budget.memory_mib.map_or(MEMORY_MIB, |mib| mib.0),
+            },
         })
     }
 }
@@ -387,6 +440,8 @@ impl CanTable {
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
+    use std::fs;
+
     use super::*;
 
     const LEAST: &str = "[camera]\nsource = \"v4l2:/dev/video0\"\n[can]\nsink = \"none\"\n";
@@ -405,6 +460,8 @@ mod tests {
         assert_eq!(board.can.listen, Duration::from_secs(2));
         assert_eq!(board.camera.wish, CameraWish::default());
         assert!(!board.monitor.strict && board.monitor.reference.is_none());
+        // Half of the time between two frames at 10 a second.
+        assert_eq!(board.budget.frame, Duration::from_millis(50));
     }
 
     #[test]
@@ -477,6 +534,12 @@ mod tests {
             ),
             (4, "sink", "status = { id = 0x800 }\nsink", "0x7FF"),
             (4, "sink", "listen_s = -1.0\nsink", "seconds from 0"),
+            (
+                2,
+                "[camera]",
+                "[budget]\nframe_ms = 0\n[camera]",
+                "1 to 100000",
+            ),
             (3, "sink", "status = { id = 0x5D1 }\nsink", "two messages"),
             (3, "sink", "status_period_ms = 0\nsink", "period of 0 ms"),
             (

@@ -5,18 +5,21 @@ mod bus;
 mod calibrate;
 mod compare;
 mod cpu_time;
+mod doctor;
 mod evaluate;
 mod inspect;
 mod live;
 mod merge;
 mod monitor;
 mod new_folder;
+mod package_files;
 mod pictures;
 mod progress;
 mod recipe;
 mod replay;
 mod report;
 mod scene;
+mod service;
 
 use std::io::Write;
 use std::path::Path;
@@ -47,6 +50,8 @@ pub fn run(command: Command, out: &mut dyn Write) -> anyhow::Result<u8> {
         Command::Evaluate(args) => evaluate::run(&args, out),
         Command::Report(args) => report::run(&args, out),
         Command::Bench(args) => bench::run(&args, out),
+        Command::Doctor(args) => doctor::run(&args, out),
+        Command::PackageFiles(args) => package_files::run(&args, out),
     }
 }
 

@@ -26,6 +26,7 @@ mod buffers;
 mod graph;
 mod kernel;
 mod layout;
+mod limits;
 mod lowering;
 mod plan;
 mod steps;
@@ -231,6 +232,7 @@ impl Encoder {
             model: spec.name.clone(),
             why: why.to_string(),
         };
+        limits::check(&spec.onnx).map_err(|why| broken(&why))?;
         // Shapes written in the file may name its own batch or size; they are inferred anew from ours.
         let onnx = tract_onnx::onnx()
             .with_ignore_output_shapes(true)

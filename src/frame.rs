@@ -162,11 +162,41 @@ pub fn open_camera(
         #[cfg(feature = "camera")]
         Some(device) => Ok(Box::new(camera::CameraSource::open(device, wish, period)?)),
         #[cfg(not(feature = "camera"))]
-        Some(_) => Err(SourceError::Name {
-            found: name.to_owned(),
-            wanted: "this build has no camera source (build with --features camera); wanted scene:…, random:…, a folder, an image, a recording or a video".to_owned(),
-        }),
+        Some(_) => Err(no_camera(name)),
         None => open(name),
+    }
+}
+
+/// What a camera says of itself.
+#[derive(Clone, Debug)]
+pub struct CameraFacts {
+    /// Its name and the driver's.
+    pub name: String,
+    /// What it is set to.
+    pub set_to: String,
+    /// Pixel formats that it offers, by the names of V4L2.
+    pub formats: Vec<String>,
+}
+
+/// Asks the camera `v4l2:/dev/videoN` about itself, without taking frames; `None` of any other source.
+///
+/// # Errors
+/// When there is no such camera, or this build has none.
+pub fn camera_facts(name: &str) -> Result<Option<CameraFacts>, SourceError> {
+    match name.strip_prefix("v4l2:") {
+        #[cfg(feature = "camera")]
+        Some(device) => camera::facts(device).map(Some),
+        #[cfg(not(feature = "camera"))]
+        Some(_) => Err(no_camera(name)),
+        None => Ok(None),
+    }
+}
+
+#[cfg(not(feature = "camera"))]
+fn no_camera(name: &str) -> SourceError {
+    SourceError::Name {
+        found: name.to_owned(),
+        wanted: "this build has no camera source (build with --features camera); wanted scene:…, random:…, a folder, an image, a recording or a video".to_owned(),
     }
 }
 

@@ -3,6 +3,7 @@
 mod args;
 mod commands;
 mod counting;
+mod logging;
 
 use std::io::Write;
 use std::process::ExitCode;
@@ -17,7 +18,7 @@ static ALLOCATOR: counting::Counting = counting::Counting;
 const COULD_NOT: u8 = 2;
 
 fn main() -> ExitCode {
-    env_logger::Builder::from_env(env_logger::Env::default().default_filter_or("warn")).init();
+    logging::begin();
     std::panic::set_hook(Box::new(|panic| {
         if !gapwatch::encoder::in_tract() {
             complain(&format!("internal error, please report: {panic}"));
@@ -65,7 +66,8 @@ fn refuse_or_help(error: &clap::Error) -> ExitCode {
 
 fn complain(what: &str) {
     let one_line = what.split_whitespace().collect::<Vec<_>>().join(" ");
-    let _ = writeln!(std::io::stderr(), "gapwatch: {one_line}");
+    let level = logging::prefix(log::Level::Error);
+    let _ = writeln!(std::io::stderr(), "{level}gapwatch: {one_line}");
 }
 
 fn is_broken_pipe(error: &anyhow::Error) -> bool {

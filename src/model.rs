@@ -1,15 +1,20 @@
 //! Which model: the built-in one, or a user's ONNX file with its size, normalisation and taps.
 
 use std::borrow::Cow;
-use std::fs;
 use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
 
 use crate::preprocess::{CROP_NOTHING, Preprocessing};
+use crate::whole_file::{read_text, read_whole};
 
 /// Most taps a model may have: the CAN message carries this many block scores.
 pub const TAPS_MAX: usize = 3;
+
+/// Largest ONNX file: a hundred times the largest lane model that is shipped, and more than a ResNet-101.
+pub const ONNX_BYTES_MAX: u64 = 256 << 20;
+/// Largest file of options beside it.
+const OPTIONS_BYTES_MAX: u64 = 1 << 16;
 
 const BUILT_IN_NAME: &str = "enet-sad-lite-320x160";
 const BUILT_IN_ONNX: &[u8] = include_bytes!("../calibration/enet-sad-lite-320x160.onnx");
@@ -107,10 +112,11 @@ impl ModelSpec {
                 )
             }
             Some(path) => {
-                let onnx = fs::read(path).map_err(|error| ModelError::Unreadable {
-                    path: path.to_owned(),
-                    error,
-                })?;
+                let onnx =
+                    read_whole(path, ONNX_BYTES_MAX).map_err(|error| ModelError::Unreadable {
+                        path: path.to_owned(),
+                        error,
+                    })?;
                 (
                     path.display().to_string(),
                     Cow::Owned(onnx),
@@ -197,7 +203,7 @@ impl ModelSpec {
 
 fn options_beside(model: &Path) -> Result<ModelOptions, ModelError> {
     let path = model.with_extension("toml");
-    match fs::read_to_string(&path) {
+    match read_text(&path, OPTIONS_BYTES_MAX) {
         Ok(text) => read_options(&path, &text),
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(ModelOptions::default()),
         Err(error) => Err(ModelError::Unreadable { path, error }),

@@ -3,7 +3,6 @@
 //! A reference is self-describing JSON for people and programs. It carries the fingerprint of the model and its
 //! preprocessing, and is refused by any other. Owns reading, checking and writing; it is made by `calibration`.
 
-use std::fs;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
@@ -20,7 +19,7 @@ use crate::histogram::Binning;
 use crate::model::ModelSpec;
 use crate::preprocess::{Preprocessing, RESIZE_KERNEL};
 use crate::undefined::Undefined;
-use crate::whole_file::WholeFile;
+use crate::whole_file::{WholeFile, read_whole};
 
 mod pretty;
 
@@ -35,6 +34,8 @@ pub const COMPONENTS_MAX: usize = 64;
 /// Least distance of a threshold from its median.
 pub const SPREAD_MIN: f64 = 1e-9;
 
+/// Largest file: four times what all components of the shipped model would take.
+pub(crate) const BYTES_MAX: u64 = 64 << 20;
 const FORMAT: &str = "gapwatch-reference";
 const VERSION: u32 = 3;
 const BUILT_IN: &str = include_str!("../calibration/sim.json");
@@ -322,7 +323,7 @@ impl Reference {
         match file {
             None => Self::parse("built-in", BUILT_IN),
             Some(path) => {
-                let text = fs::read(path).map_err(|error| ReferenceError::File {
+                let text = read_whole(path, BYTES_MAX).map_err(|error| ReferenceError::File {
                     path: path.to_owned(),
                     error,
                 })?;

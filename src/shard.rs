@@ -1,7 +1,6 @@
 //! Parts of a reference: which drives had which role, of a model and for which thresholds. What the encoder saw of them is
 //! in a survey store.
 
-use std::fs;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
@@ -9,8 +8,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::calibration::Wanted;
 use crate::gap::Metric;
-use crate::reference::{ModelFingerprint, Reference, ReferenceError, Role};
-use crate::whole_file::WholeFile;
+use crate::reference::{BYTES_MAX, ModelFingerprint, Reference, ReferenceError, Role};
+use crate::whole_file::{WholeFile, read_whole};
 
 const FORMAT: &str = "gapwatch-shard";
 const VERSION: u32 = 1;
@@ -87,7 +86,7 @@ impl Shard {
             path: path.to_owned(),
             found,
         };
-        let text = fs::read(path).map_err(|error| ReferenceError::File {
+        let text = read_whole(path, BYTES_MAX).map_err(|error| ReferenceError::File {
             path: path.to_owned(),
             error,
         })?;

@@ -1,11 +1,34 @@
-//! Files that appear whole or not at all.
+//! Files that appear whole or not at all, and are read whole or not at all.
 
 use std::fs::{File, OpenOptions};
-use std::io::{self, BufWriter, Write};
+use std::io::{self, BufWriter, Read, Write};
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 
 use tempfile::NamedTempFile;
+
+/// Reads a file of at most `most` bytes: what is larger, or never ends, costs no more memory than that.
+///
+/// # Errors
+/// When it cannot be read, or is larger.
+pub fn read_whole(path: &Path, most: u64) -> io::Result<Vec<u8>> {
+    let mut bytes = Vec::new();
+    File::open(path)?.take(most + 1).read_to_end(&mut bytes)?;
+    if bytes.len() as u64 > most {
+        let why = format!("more than {most} bytes, which no file of its kind has");
+        return Err(io::Error::new(io::ErrorKind::FileTooLarge, why));
+    }
+    Ok(bytes)
+}
+
+/// As [`read_whole`], of text.
+///
+/// # Errors
+/// As [`read_whole`], and when it is not UTF-8.
+pub fn read_text(path: &Path, most: u64) -> io::Result<String> {
+    let not_text = |_| io::Error::new(io::ErrorKind::InvalidData, "not text in UTF-8");
+    String::from_utf8(read_whole(path, most)?).map_err(not_text)
+}
 
 /// A file being written beside its place; dropped without [`WholeFile::finish`] it leaves nothing behind.
 pub struct WholeFile(Target);

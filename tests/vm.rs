@@ -10,6 +10,7 @@
     clippy::cast_sign_loss
 )]
 
+mod clips;
 mod program;
 
 use std::fmt::Write as _;
@@ -18,13 +19,14 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::Duration;
 
+use clips::{clip, pictures, yuyv};
 use gapwatch::alarm::{AlarmState, Reason};
 use gapwatch::can::BusState;
 use gapwatch::can::e2e::{E2eReceiver, E2eSender, Sequence};
 use gapwatch::can::message::{ClearRequest, GapHealth, GapStatus};
 use gapwatch::encoder::Encoder;
 use gapwatch::frame::pixels::{Layout, PixelFormat, Pixels};
-use gapwatch::frame::{Frame, Picture, open};
+use gapwatch::frame::{Frame, Picture};
 use gapwatch::journal::{self, Entry};
 use gapwatch::model::{ModelOptions, ModelSpec};
 use gapwatch::pipeline::{Monitor, Verdict};
@@ -157,40 +159,6 @@ fn clear_requests() -> String {
         sender.protect(ClearRequest.to_bytes(), &mut write).unwrap();
     }
     lines
-}
-
-fn pictures(name: &str) -> Vec<Picture> {
-    let mut source = open(name).unwrap();
-    let next = || {
-        source
-            .next_frame()
-            .unwrap()
-            .map(|frame| frame.picture.unwrap().picture())
-    };
-    std::iter::from_fn(next).collect()
-}
-
-/// Writes pictures as YUYV, one after the other.
-fn clip(path: &Path, pictures: &[Picture]) {
-    fs::write(path, pictures.iter().flat_map(yuyv).collect::<Vec<u8>>()).unwrap();
-}
-
-/// BT.601 of limited range; the colour of two neighbours is their mean.
-fn yuyv(picture: &Picture) -> Vec<u8> {
-    let byte = |value: f64| value.round().clamp(0.0, 255.0) as u8;
-    let pairs = picture.rgb.chunks_exact(6).flat_map(|pair| {
-        let [left, right] = [&pair[..3], &pair[3..]].map(|rgb| {
-            let [r, g, b] = [rgb[0], rgb[1], rgb[2]].map(f64::from);
-            let luma = 0.299 * r + 0.587 * g + 0.114 * b;
-            [luma, b - luma, r - luma]
-        });
-        let y = |pixel: [f64; 3]| byte(16.0 + pixel[0] * 219.0 / 255.0);
-        let colour = |n: usize, widest: f64| {
-            byte(128.0 + (left[n] + right[n]) / 2.0 * 112.0 / 255.0 / widest)
-        };
-        [y(left), colour(1, 0.886), y(right), colour(2, 0.701)]
-    });
-    pairs.collect()
 }
 
 /// What a camera of this format shows of a picture.

@@ -137,7 +137,7 @@ pub fn run(args: &BenchArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
 
     let measured = std::thread::scope(|scope| {
         let threads: Vec<_> = (0..args.threads)
-            .map(|_| scope.spawn(|| measure(&model, &reference, &shown)))
+            .map(|_| scope.spawn(|| measure(&model, &reference, &shown, MEASURE)))
             .collect();
         threads
             .into_iter()
@@ -246,7 +246,28 @@ impl WarningSink for Swallow {
     }
 }
 
-fn measure(model: &Model, reference: &Reference, shown: &[Shown]) -> anyhow::Result<Measured> {
+/// Time of each of some frames through all stages, for `longest` at most.
+pub(super) fn chain_times(
+    model: &Model,
+    reference: &Reference,
+    frames: &[Frame],
+    longest: Duration,
+) -> anyhow::Result<Vec<Duration>> {
+    let pixels = frames
+        .iter()
+        .filter_map(|frame| frame.picture.as_ref().ok());
+    let shown: Vec<Shown> = pixels.map(|p| (p.layout(), p.bytes().to_vec())).collect();
+    let measured = measure(model, reference, &shown, longest)?;
+    let whole = measured.samples.iter().map(|s| s.took.iter().sum());
+    Ok(whole.collect())
+}
+
+fn measure(
+    model: &Model,
+    reference: &Reference,
+    shown: &[Shown],
+    longest: Duration,
+) -> anyhow::Result<Measured> {
     let mut stages = Stages::new(model, reference)?;
     let mut samples = Vec::new();
     let mut cpu_before = None;
@@ -255,7 +276,7 @@ fn measure(model: &Model, reference: &Reference, shown: &[Shown]) -> anyhow::Res
         if index == WARM_UP {
             cpu_before = cpu_time();
         }
-        if index > WARM_UP && began.elapsed() > MEASURE {
+        if index > WARM_UP && began.elapsed() > longest {
             break;
         }
         let now = PERIOD * u32::try_from(index)?;
@@ -301,7 +322,7 @@ impl<'a> Stages<'a> {
         layout: Layout,
         bytes: &[u8],
     ) -> anyhow::Result<Sample> {
-        let cannot = |why: Undefined| anyhow!("a rendered frame cannot be judged: {why}");
+        let cannot = |why: Undefined| anyhow!("a frame cannot be judged: {why}");
         let mut clock = Clock::start();
 
         let frame = frame_of(sequence, now, layout, bytes)?;
@@ -467,7 +488,7 @@ fn summary(
     })
 }
 
-fn quantile(mut of: Vec<Duration>, percent: usize) -> Duration {
+pub(super) fn quantile(mut of: Vec<Duration>, percent: usize) -> Duration {
     of.sort_unstable();
     let last = of.len().saturating_sub(1);
     of.get(last * percent / 100).copied().unwrap_or_default()
@@ -489,7 +510,7 @@ fn peak_gflops() -> f64 {
 }
 
 /// To the microsecond.
-fn ms(time: Duration) -> f64 {
+pub(super) fn ms(time: Duration) -> f64 {
     (time.as_secs_f64() * 1e6).round() / 1e3
 }
 
@@ -514,7 +535,7 @@ fn machine() -> String {
 }
 
 /// Memory of this program in use now.
-fn resident_mib() -> anyhow::Result<f64> {
+pub(super) fn resident_mib() -> anyhow::Result<f64> {
     let status = "/proc/self/status";
     let text = fs::read_to_string(status).context(status)?;
     let kib: Option<u64> = text

@@ -6,7 +6,7 @@ use std::io::Write;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::time::{Duration, Instant};
 
@@ -30,6 +30,7 @@ use signal_hook::flag;
 
 use super::bus::{Bus, COMPLAINT};
 use super::live::Live;
+use super::service::Service;
 use super::{Model, state_line, tell_evidence};
 use crate::args::MonitorArgs;
 
@@ -95,6 +96,7 @@ pub fn run(args: &MonitorArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
     let speed = board.can.settings.speed.as_ref();
     let parked_after = speed.map_or(Duration::MAX, |speed| speed.parked_after);
     let parked = AtomicBool::new(false);
+    let rounds = AtomicU64::new(0);
     take_frames(source, Arc::clone(&newest), began);
     std::thread::scope(|scope| {
         let (verdicts, told) = channel();
@@ -105,6 +107,7 @@ pub fn run(args: &MonitorArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
             cleared: &cleared,
             parked: &parked,
             wanted: &wanted,
+            rounds: &rounds,
             began,
         };
         let (model, reference) = (&model, &reference);
@@ -131,6 +134,7 @@ pub fn run(args: &MonitorArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
             parking: Parking::new(parked_after),
             complained_at: Duration::ZERO,
             live: Live::new(None, args.quiet),
+            service: Service::new(periods.idle),
             out: &mut *out,
         };
         let told = teller.tell_all(&told, shared, limit);
@@ -168,7 +172,7 @@ fn periods(board: &Board, reference: &Reference, file: &Path) -> anyhow::Result<
 }
 
 /// A reference made of simulation alone is a standing gap on a road, so a board must ask for it.
-fn read_reference(board: &Board, file: &Path) -> anyhow::Result<Reference> {
+pub(super) fn read_reference(board: &Board, file: &Path) -> anyhow::Result<Reference> {
     let reference = Reference::read(board.monitor.reference.as_deref())?;
     if reference.strict && !board.monitor.strict {
         bail!(
@@ -256,6 +260,8 @@ struct Shared<'a> {
     parked: &'a AtomicBool,
     /// Time from one frame to the next.
     wanted: &'a WantedPeriod,
+    /// How often the judge has looked for a frame.
+    rounds: &'a AtomicU64,
     began: Instant,
 }
 
@@ -274,6 +280,7 @@ fn judge(
     let mut next = Duration::ZERO;
     while !shared.stop.load(Ordering::Relaxed) {
         let taken = shared.newest.take(PATIENCE);
+        shared.rounds.fetch_add(1, Ordering::Relaxed);
         if shared.clear.swap(false, Ordering::Relaxed) {
             if monitor.clear_stored() {
                 shared.cleared.store(true, Ordering::Relaxed);
@@ -375,6 +382,7 @@ struct Teller<'a> {
     parking: Parking,
     complained_at: Duration,
     live: Live,
+    service: Service,
     out: &'a mut dyn Write,
 }
 
@@ -407,10 +415,7 @@ impl Teller<'_> {
                 Err(RecvTimeoutError::Timeout) => {}
                 Err(RecvTimeoutError::Disconnected) => break,
             }
-            let unjudged = matches!(
-                self.last.state,
-                AlarmState::Unavailable | AlarmState::SensorFault
-            );
+            let unjudged = self.is_unjudged();
             // No frame tells the bus while nobody looks.
             if shared.cleared.swap(false, Ordering::Relaxed) && unjudged && self.last.gap_stored {
                 let mut cleared = self.last.clone();
@@ -440,8 +445,18 @@ impl Teller<'_> {
             }
             self.bus.tell_health(now);
             self.bus.poll(now)?;
+            let judged_or_fault = self.last.score.is_some() || self.is_unjudged();
+            let rounds = shared.rounds.load(Ordering::Relaxed);
+            self.service.served(now, judged_or_fault, rounds);
         }
         Ok(())
+    }
+
+    fn is_unjudged(&self) -> bool {
+        matches!(
+            self.last.state,
+            AlarmState::Unavailable | AlarmState::SensorFault
+        )
     }
 
     fn without_frame(&self, at: Duration, reason: Reason, why: Option<Undefined>) -> Verdict {
@@ -466,10 +481,12 @@ impl Teller<'_> {
             self.journal = None;
         }
         if (verdict.state, verdict.reason) != (self.last.state, self.last.reason) || now.is_zero() {
+            let line = state_line(verdict);
             let _ = self.live.above(|| {
-                writeln!(self.out, "{}", state_line(verdict))?;
+                writeln!(self.out, "{line}")?;
                 self.out.flush()
             });
+            self.service.status(line.trim());
         }
         if verdict.sequence.is_some() {
             self.live.count();
@@ -482,6 +499,7 @@ impl Teller<'_> {
     /// Says that the monitor has stopped, and completes what was written.
     fn last_word(mut self, began: Instant) -> anyhow::Result<()> {
         self.live.finish();
+        self.service.stopping();
         let stopped = self.without_frame(began.elapsed(), Reason::Stopped, None);
         let mut said = self.tell(stopped.at, &stopped, Duration::ZERO);
         while said.is_ok() && began.elapsed() < stopped.at + LAST_WORD {

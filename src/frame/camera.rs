@@ -19,7 +19,7 @@ use v4l::video::capture::Parameters;
 use v4l::{Device, Format, FourCC, Fraction};
 
 use super::pixels::{Layout, PixelFormat, Pixels};
-use super::{Frame, FrameSource, PictureError, SourceError};
+use super::{CameraFacts, Frame, FrameSource, PictureError, SourceError};
 use crate::board::{CAMERA_FORMATS, CameraWish};
 use crate::rate::{Pace, WantedPeriod};
 
@@ -360,6 +360,28 @@ fn negotiate(device: &Device, wish: &CameraWish) -> Result<Format, String> {
         }
     }
     Ok(granted)
+}
+
+/// What a camera says of itself.
+pub fn facts(name: &str) -> Result<CameraFacts, SourceError> {
+    let ask = || -> io::Result<CameraFacts> {
+        let device = Device::with_path(name)?;
+        let about = device.query_caps()?;
+        let format = device.format()?;
+        let offered = device.enum_formats()?.into_iter();
+        Ok(CameraFacts {
+            name: format!("{} ({})", about.card, about.driver),
+            set_to: format!("{} {}x{}", format.fourcc, format.width, format.height),
+            formats: offered.map(|offer| offer.fourcc.to_string()).collect(),
+        })
+    };
+    // Texts of a driver that are not UTF-8 make `v4l` panic.
+    let odd = || Err(io::Error::other("it describes itself in no known way"));
+    let told = catch_unwind(AssertUnwindSafe(ask)).unwrap_or_else(|_| odd());
+    told.map_err(|error| SourceError::Camera {
+        device: name.to_owned(),
+        why: error.to_string(),
+    })
 }
 
 #[cfg(test)]
