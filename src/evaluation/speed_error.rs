@@ -80,12 +80,21 @@ impl SpeedError {
     }
 }
 
-/// Which points no other one beats: each of the others costs more or misses more.
+/// Which points no other one beats: each of the others costs more, misses more, warns later or foretells failures of the
+/// lane model less.
 pub fn front(rows: &[SpeedError]) -> Vec<bool> {
+    let criteria = |of: &SpeedError| {
+        [
+            of.second_ms,
+            of.missed_share(),
+            of.delay_median_s.unwrap_or(f64::INFINITY),
+            -of.risk_auroc.unwrap_or(0.0),
+        ]
+    };
     let beats = |a: &SpeedError, b: &SpeedError| {
-        let (cost, missed) = (a.second_ms, a.missed_share());
-        let no_worse = cost <= b.second_ms && missed <= b.missed_share();
-        no_worse && (cost < b.second_ms || missed < b.missed_share())
+        let pairs = criteria(a).into_iter().zip(criteria(b));
+        let worse = pairs.clone().any(|(a, b)| a > b);
+        !worse && pairs.into_iter().any(|(a, b)| a < b)
     };
     let is_best = |row: &SpeedError| !rows.iter().any(|other| beats(other, row));
     rows.iter().map(is_best).collect()
@@ -294,5 +303,9 @@ mod tests {
         assert_eq!(front(&rows), [true, true, false, false, true]);
         // Equals do not beat each other.
         assert_eq!(front(&[point(1.0, 1), point(1.0, 1)]), [true, true]);
+        // Worse in two, but sooner.
+        let mut sooner = point(2.0, 2);
+        sooner.delay_median_s = Some(0.4);
+        assert_eq!(front(&[point(1.0, 1), sooner]), [true, true]);
     }
 }

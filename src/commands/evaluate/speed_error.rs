@@ -13,8 +13,8 @@ use gapwatch::model::{ModelOptions, ModelSpec};
 use gapwatch::pipeline::Monitor;
 use gapwatch::whole_file::WholeFile;
 use plotters::prelude::{
-    BLACK, ChartBuilder, Circle, Color, IntoDrawingArea, IntoLogRange, LineSeries, Palette,
-    Palette99, SVGBackend, SeriesLabelPosition, WHITE,
+    BLACK, ChartBuilder, Circle, Color, IntoDrawingArea, IntoLogRange, Palette, Palette99,
+    SVGBackend, SeriesLabelPosition, WHITE,
 };
 
 use super::super::bench::buffers::buffer_of;
@@ -30,7 +30,7 @@ pub const ABOUT: &str = "Cost of a judged second of driving against what is miss
     time on one thread, from a camera's buffer of 1280x720 YUYV to the verdict, with all taps, on the machine that made this \
     table. Missed: drives under a condition of severity 3 to 5 in which `Gap` was not entered until 2 s after the condition had its severity; \
     the delay counts from its beginning, and it grows for 2 s. AUROC: failed seconds of the lane model, by the default metric and \
-    by `lane-risk`. The front is what no other point beats in both cost and missed share.";
+    by `lane-risk`. The front is what no other point beats in cost, missed share, delay and AUROC by `lane-risk` together.";
 
 /// Frames whose cost is measured, and those before them that fill buffers.
 const MEASURED: u32 = 60;
@@ -74,7 +74,7 @@ pub fn rows(
         let bar = progress::frames(Some(sizes.drives()), &spec.name);
         let encoder = Encoder::load_with_lane(spec)?;
         let of_model = speed_error::rows(
-            &spec.name,
+            &name_of(spec),
             &spec.taps,
             &encoder,
             &spec.preprocessing,
@@ -89,6 +89,15 @@ pub fn rows(
         }));
     }
     Ok(rows)
+}
+
+/// Of the ONNX file, without where it lies.
+fn name_of(spec: &ModelSpec) -> String {
+    let stem = Path::new(&spec.name).file_stem();
+    stem.map_or_else(
+        || spec.name.clone(),
+        |stem| stem.to_string_lossy().into_owned(),
+    )
 }
 
 /// All taps, a window of 1 s, and the rate nearest to that of boards.
@@ -222,7 +231,7 @@ pub fn within(rows: &[Row<SpeedError>], percent: f64) -> anyhow::Result<String> 
     ))
 }
 
-/// Every point by cost and missed share, a colour a model, the front as a line.
+/// Every point by cost and missed share, a colour a model; those on the front are filled.
 pub fn plot(rows: &[Row<SpeedError>], path: &Path) -> anyhow::Result<()> {
     let points: Vec<SpeedError> = rows.iter().map(|row| row.of.clone()).collect();
     let mut svg = String::new();
@@ -261,21 +270,22 @@ fn draw(
         .light_line_style(BLACK.mix(0.04))
         .draw()?;
     let at = |of: &SpeedError| (of.second_ms, 100.0 * of.missed_share());
-    let mut best: Vec<(f64, f64)> = points
-        .iter()
-        .zip(front(points))
-        .filter(|(_, on_front)| *on_front)
-        .map(|(of, _)| at(of))
-        .collect();
-    best.sort_by(|a, b| a.0.total_cmp(&b.0));
-    chart.draw_series(LineSeries::new(best, BLACK.mix(0.5)))?;
+    let on_front = front(points);
     let mut models: Vec<&str> = points.iter().map(|of| of.model.as_str()).collect();
     models.dedup();
     for (n, model) in models.into_iter().enumerate() {
         let colour = Palette99::pick(n).to_rgba();
-        let own = points.iter().filter(|of| of.model == model);
+        let own = points.iter().zip(&on_front);
+        let own = own.filter(|(of, _)| of.model == model);
         chart
-            .draw_series(own.map(|of| Circle::new(at(of), 4, colour.filled())))?
+            .draw_series(own.map(|(of, &on_front)| {
+                let style = if on_front {
+                    colour.filled()
+                } else {
+                    colour.stroke_width(1)
+                };
+                Circle::new(at(of), 4, style)
+            }))?
             .label(model)
             .legend(move |(x, y)| Circle::new((x + 8, y), 4, colour.filled()));
     }
