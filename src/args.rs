@@ -429,7 +429,7 @@ pub struct BenchArgs {
     /// Who runs the encoder: the fastest that can, or tract, to compare with
     #[arg(long, value_enum, default_value = "fastest")]
     pub executor: ExecutorChoice,
-    /// Also measure what the evidence recorder costs the frame loop, at 25 frames a second: 50 s more
+    /// Also measure what the evidence recorder costs the frame loop, at 25 frames a second: a minute more
     #[arg(long)]
     pub evidence: bool,
 }

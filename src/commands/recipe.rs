@@ -262,7 +262,7 @@ impl Recipe {
     pub fn reference(&self, found: Found) -> anyhow::Result<Reference> {
         let drives = all(found.drives)?;
         let labelled = all(found.labelled)?;
-        let bar = progress::over(None, "thresholds", "looks at drives");
+        let bar = progress::over(Some(0), "thresholds", "looks at drives");
         let drives: Vec<Watched<'_, _>> = watched(&drives, &bar);
         let labelled: Vec<Watched<'_, _>> = watched(&labelled, &bar);
         let (simulation, mut rest) = drives.split_at(self.simulation.len());

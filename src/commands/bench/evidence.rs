@@ -13,9 +13,10 @@ use super::{Model, ms, quantile};
 use crate::args::BenchArgs;
 
 /// Blocks, every second one with the recorder.
-const BLOCKS: u32 = 12;
-/// Frames of a block, of which the second half is fog: an alarm a block.
-const BLOCK_FRAMES: u32 = 100;
+const BLOCKS: u32 = 8;
+/// Frames of a block, 8 s, of which the last 3 s are fog: an alarm a block, and time for the one before to end.
+const BLOCK_FRAMES: u32 = 200;
+const PLAIN_FRAMES: u32 = 125;
 /// Time between frames.
 const PERIOD: Duration = Duration::from_millis(40);
 
@@ -76,11 +77,7 @@ pub fn cost(
     let began = Instant::now();
     for index in 0..BLOCKS * BLOCK_FRAMES {
         let (block, place) = (index / BLOCK_FRAMES, index % BLOCK_FRAMES);
-        let shown = if 2 * place < BLOCK_FRAMES {
-            &plain
-        } else {
-            &foggy
-        };
+        let shown = if place < PLAIN_FRAMES { &plain } else { &foggy };
         let frame = Frame {
             sequence: index.into(),
             captured_at: PERIOD * index,
