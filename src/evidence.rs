@@ -1,8 +1,9 @@
 //! Evidence of alarms: the frames around the moment at which one began, and where the encoder looked, in a bounded folder.
 //!
-//! The frame loop only hands over: pictures go through a bounded queue to a thread of their own, which keeps the last
-//! moments in memory as JPEG and writes an event once it is complete. What does not fit into the queue is dropped and
-//! counted; a disk that takes nothing is counted and logged. Each event is a folder that appears whole or not at all:
+//! The frame loop only hands over: pictures go through a bounded queue to a thread of their own. It keeps the last moments in
+//! memory as their source gave them, compresses them when an alarm begins, and writes the event once it is complete. What does
+//! not fit into the queue is dropped and counted; a disk that takes nothing is counted and logged. Each event is a folder that
+//! appears whole or not at all:
 //!
 //! ```text
 //! DIR/000012/event.json        what, when, why; the files below by name
@@ -204,7 +205,8 @@ struct Held {
 struct Writer {
     folder: EventFolder,
     taps: Vec<String>,
-    ring: VecDeque<Held>,
+    /// The last moments, as their source gave them: nothing is compressed while nothing happens.
+    ring: VecDeque<Message>,
     /// The event that is being gathered, and until when.
     open: Option<(Vec<Held>, usize, Duration)>,
     kept: Kept,
@@ -243,34 +245,32 @@ impl Writer {
 
     fn take(&mut self, message: Message) {
         let (edge, at) = (message.edge, message.at);
-        let held = match held(message, &self.taps) {
-            Ok(held) => held,
-            Err(error) => {
-                log::warn!("evidence: {error}");
-                return;
-            }
-        };
         if self.open.as_ref().is_some_and(|(.., until)| at > *until) {
             self.close();
         }
         match (&mut self.open, edge) {
             // From suspicion to gap: the same event, for longer.
             (Some((moments, _, until)), true) => {
-                moments.push(held);
+                moments.extend(held(message, &self.taps));
                 *until = at + AROUND;
             }
-            (Some((moments, ..)), false) => moments.push(held),
+            (Some((moments, ..)), false) => moments.extend(held(message, &self.taps)),
             (None, true) => {
-                let mut moments: Vec<Held> = self.ring.drain(..).collect();
-                moments.push(held);
-                let edge = moments.len() - 1;
-                self.open = Some((moments, edge, at + AROUND));
+                let before = self.ring.drain(..);
+                let mut moments: Vec<Held> = before
+                    .filter_map(|before| held(before, &self.taps))
+                    .collect();
+                let edge = moments.len();
+                moments.extend(held(message, &self.taps));
+                if edge < moments.len() {
+                    self.open = Some((moments, edge, at + AROUND));
+                }
             }
             (None, false) => {
                 if self.ring.len() == RING_MAX {
                     self.ring.pop_front();
                 }
-                self.ring.push_back(held);
+                self.ring.push_back(message);
             }
         }
     }
@@ -297,7 +297,14 @@ impl Writer {
     }
 }
 
-fn held(message: Message, taps: &[String]) -> image::ImageResult<Held> {
+/// A moment as it is written; `None` of a picture that cannot be.
+fn held(message: Message, taps: &[String]) -> Option<Held> {
+    compressed(message, taps)
+        .inspect_err(|error| log::warn!("evidence: {error}"))
+        .ok()
+}
+
+fn compressed(message: Message, taps: &[String]) -> image::ImageResult<Held> {
     let mut moment = message.moment;
     let mut files = vec![(moment.frame.clone(), jpeg(&message.pixels.picture())?)];
     if let Some(look) = message.look {

@@ -1,5 +1,6 @@
 //! What the evidence recorder costs the frame loop: the same drive, block by block with and without it, in real time.
 
+use std::ops::Range;
 use std::time::{Duration, Instant};
 
 use gapwatch::evidence::{Quota, Recorder};
@@ -14,9 +15,9 @@ use crate::args::BenchArgs;
 
 /// Blocks, every second one with the recorder.
 const BLOCKS: u32 = 8;
-/// Frames of a block, 8 s, of which the last 3 s are fog: an alarm a block, and time for the one before to end.
+/// Frames of a block, 8 s, and those of them in fog, 3 s: an alarm a block, which ends in it.
 const BLOCK_FRAMES: u32 = 200;
-const PLAIN_FRAMES: u32 = 125;
+const FOG: Range<u32> = 25..100;
 /// Time between frames.
 const PERIOD: Duration = Duration::from_millis(40);
 
@@ -77,7 +78,7 @@ pub fn cost(
     let began = Instant::now();
     for index in 0..BLOCKS * BLOCK_FRAMES {
         let (block, place) = (index / BLOCK_FRAMES, index % BLOCK_FRAMES);
-        let shown = if place < PLAIN_FRAMES { &plain } else { &foggy };
+        let shown = if FOG.contains(&place) { &foggy } else { &plain };
         let frame = Frame {
             sequence: index.into(),
             captured_at: PERIOD * index,
