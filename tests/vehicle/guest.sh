@@ -32,6 +32,10 @@ $output --set-fmt-video-out=width=320,height=160,pixelformat=YUYV
 traces >before.out
 find / -xdev -not -path '/proc/*' -not -path '/root/*' | sort >files-before.log
 done_as install dpkg -i gapwatch.deb
+if [ "$(cat install.code)" != 0 ]; then
+  cp ./*.out ./*.code /share/
+  exit 1
+fi
 done_as version gapwatch --version
 done_as listed dpkg -L gapwatch
 cp car.toml lane.onnx lane.toml reference.json /etc/gapwatch/
