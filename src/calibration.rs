@@ -1136,9 +1136,9 @@ mod tests {
         }
     }
 
-    /// A drive of 30 frames, each with another map.
+    /// A drive of 60 frames, each with another map.
     fn counted(seed: usize) -> Counted {
-        let frames = (0..30).map(|frame| {
+        let frames = (0..60).map(|frame| {
             let map = ramp(100 * (seed + frame), 100 * (seed + frame) + 64);
             let energy = map.energy.iter().take(20).copied().collect();
             Ok(SurveyFrame {
@@ -1152,7 +1152,7 @@ mod tests {
         });
         let survey = Survey {
             source: format!("drive {seed}"),
-            times: (0..30).map(|i| Duration::from_millis(100 * i)).collect(),
+            times: (0..60).map(|i| Duration::from_millis(100 * i)).collect(),
             frames: frames.collect(),
             common_size: (64, 1),
         };

@@ -365,8 +365,8 @@ fn inspect_writes_a_sheet_a_frame_and_the_numbers_behind_them() {
             .path()
             .join("sheets")
             .join(frame["sheet"].as_str().unwrap());
-        // Four panels of 320x160, enlarged twice: the lane mask and three taps.
-        assert_eq!(image::image_dimensions(sheet).unwrap(), (1_280, 640));
+        // Panels of 320x160, enlarged twice: the lane mask and three taps, and below each the regions that differ.
+        assert_eq!(image::image_dimensions(sheet).unwrap(), (2_560, 640));
         assert!(frame["lane_area"].as_f64().unwrap() > 0.005);
         for tap in ["e2", "e3", "e4"] {
             let tap = &frame["taps"][tap];
