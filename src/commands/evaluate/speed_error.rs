@@ -251,6 +251,8 @@ fn draw(
     let (least, most) = costs.fold((f64::INFINITY, 0.0_f64), |(low, high), cost| {
         (low.min(cost), high.max(cost))
     });
+    let missed = points.iter().map(SpeedError::missed_share);
+    let highest = (120.0 * missed.fold(0.0, f64::max)).clamp(10.0, 100.0);
     let area = SVGBackend::with_string(svg, (900, 560)).into_drawing_area();
     area.fill(&WHITE)?;
     let mut chart = ChartBuilder::on(&area)
@@ -261,7 +263,7 @@ fn draw(
         .margin(12)
         .x_label_area_size(44)
         .y_label_area_size(56)
-        .build_cartesian_2d((0.8 * least..1.25 * most).log_scale(), 0.0..100.0)?;
+        .build_cartesian_2d((0.8 * least..1.25 * most).log_scale(), 0.0..highest)?;
     chart
         .configure_mesh()
         .x_desc("CPU time of a judged second, ms (one thread)")
