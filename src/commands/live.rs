@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 use console::{Style, StyledObject};
 use gapwatch::alarm::AlarmState;
 use gapwatch::pipeline::Verdict;
-use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use indicatif::{HumanDuration, ProgressBar, ProgressDrawTarget, ProgressStyle};
 
 /// How often the line changes, a second: as often as one can read it.
 const HZ: u8 = 4;
@@ -19,7 +19,9 @@ const BAR: usize = 21;
 pub struct Live {
     bar: ProgressBar,
     shown: Option<Instant>,
+    /// Frames that were looked at, since `since` and in all.
     frames: u32,
+    counted: u64,
     since: Instant,
     rate_hz: Option<f64>,
 }
@@ -32,16 +34,14 @@ impl Live {
         } else {
             ProgressDrawTarget::stderr_with_hz(HZ)
         };
-        let template = match count {
-            Some(_) => "{msg}  {pos}/{len} frames, {eta} left",
-            None => "{msg}  {elapsed}",
-        };
+        // One message holds all: position and estimate on their own would be drawn with every frame.
         let style =
-            ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar());
+            ProgressStyle::with_template("{msg}").unwrap_or_else(|_| ProgressStyle::default_bar());
         Self {
             bar: ProgressBar::with_draw_target(count, target).with_style(style),
             shown: None,
             frames: 0,
+            counted: 0,
             since: Instant::now(),
             rate_hz: None,
         }
@@ -60,14 +60,27 @@ impl Live {
         let often = Duration::from_secs(1) / u32::from(HZ);
         if self.shown.is_none_or(|at| at.elapsed() >= often) {
             self.shown = Some(Instant::now());
-            self.bar.set_message(line(verdict, self.rate_hz, age));
+            let line = line(verdict, self.rate_hz, age);
+            self.bar.set_message(format!("{line}  {}", self.progress()));
         }
     }
 
     /// Counts a frame that was looked at.
     pub fn count(&mut self) {
         self.frames += 1;
-        self.bar.inc(1);
+        self.counted += 1;
+    }
+
+    /// How far it is, and how long it takes to the end where that is known.
+    #[allow(clippy::cast_precision_loss)]
+    fn progress(&self) -> String {
+        let elapsed = self.bar.elapsed();
+        let Some(count) = self.bar.length() else {
+            return format!("{:#}", HumanDuration(elapsed));
+        };
+        let left = count.saturating_sub(self.counted) as f64 / self.counted.max(1) as f64;
+        let left = HumanDuration(elapsed.mul_f64(left));
+        format!("{}/{count} frames, {left:#} left", self.counted)
     }
 
     /// Writes a line above this one; the two never tear each other.
