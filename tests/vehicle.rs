@@ -14,15 +14,13 @@ use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
-use clips::{clip, pictures};
+use clips::{clip, lane_model, pictures};
 use gapwatch::alarm::{AlarmState, Reason};
 use gapwatch::can::e2e::{E2eReceiver, Sequence};
 use gapwatch::can::message::GapStatus;
-use program::gapwatch_in;
 use serde_json::Value;
 
 const ROOT: &str = env!("CARGO_MANIFEST_DIR");
-const MODEL: &str = "calibration/enet-sad-small-160x80";
 /// Fog of 60 m visibility between 4 and 8 s.
 const DRIVE: &str = "scene:sim?seed=7&seconds=11&fps=30&condition=fog:4@4-8";
 const NOMINAL: &str = "scene:sim?seed=8&seconds=2&fps=30";
@@ -66,17 +64,7 @@ fn machine() -> Left {
     let _ = fs::remove_dir_all(&share);
     fs::create_dir_all(&share).unwrap();
     fs::copy(package(), share.join("gapwatch.deb")).unwrap();
-    for kind in ["onnx", "toml"] {
-        let from = format!("{ROOT}/{MODEL}.{kind}");
-        fs::copy(from, share.join(format!("lane.{kind}"))).unwrap();
-    }
-    let drives = "scene:sim?seed=1001..1040&seconds=3";
-    let calibrate = ["calibrate", "--model", "lane.onnx", "--sim", drives];
-    gapwatch_in(
-        &share,
-        &[&calibrate[..], &["--out", "reference.json"]].concat(),
-    )
-    .ok();
+    lane_model(&share);
     fs::write(
         share.join("car.toml"),
         "[camera]\nsource = \"v4l2:/dev/video0\"\nformat = \"YUYV\"\nsize = \"320x160\"\n\

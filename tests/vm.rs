@@ -19,7 +19,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::Duration;
 
-use clips::{clip, pictures, yuyv};
+use clips::{clip, lane_model, pictures, yuyv};
 use gapwatch::alarm::{AlarmState, Reason};
 use gapwatch::can::BusState;
 use gapwatch::can::e2e::{E2eReceiver, E2eSender, Sequence};
@@ -35,7 +35,6 @@ use program::gapwatch_in;
 
 const ROOT: &str = env!("CARGO_MANIFEST_DIR");
 const PROGRAM: &str = env!("CARGO_BIN_EXE_gapwatch");
-const MODEL: &str = "calibration/enet-sad-small-160x80";
 /// Fog of 60 m visibility between 5 and 9 s.
 const DRIVE: &str = "scene:sim?seed=7&seconds=14&fps=30&condition=fog:4@5-9";
 const NOMINAL: &str = "scene:sim?seed=8&seconds=1&fps=30";
@@ -87,17 +86,7 @@ fn stage(share: &Path) {
             fs::copy(word, share.join("lib").join(name)).unwrap();
         }
     }
-    for kind in ["onnx", "toml"] {
-        let from = format!("{ROOT}/{MODEL}.{kind}");
-        fs::copy(from, share.join(format!("lane.{kind}"))).unwrap();
-    }
-    let drives = "scene:sim?seed=1001..1040&seconds=3";
-    let calibrate = ["calibrate", "--model", "lane.onnx", "--sim", drives];
-    gapwatch_in(
-        share,
-        &[&calibrate[..], &["--out", "reference.json"]].concat(),
-    )
-    .ok();
+    lane_model(share);
     fs::write(
         share.join("car.toml"),
         "[camera]\nsource = \"v4l2:/dev/video0\"\nformat = \"YUYV\"\nsize = \"320x160\"\n\
@@ -468,11 +457,7 @@ fn vm_a_verdict_is_on_the_bus_soon_after_its_frame() {
     let reaction = percentiles(told);
     assert!(reaction[2] < 50.0, "frame to bus, ms: {reaction:?}");
     assert!(latencies[2] < 50.0, "frame to verdict, ms: {latencies:?}");
-    let cyclic: Vec<f64> = bus
-        .windows(2)
-        .map(|pair| (pair[1].0 - pair[0].0) * 1e3)
-        .collect();
-    let pauses = percentiles(cyclic);
+    let pauses = percentiles(pauses_ms(&bus, |_| true));
     assert!(pauses[2] < 121.0, "between status frames, ms: {pauses:?}");
     report(
         &share,
@@ -489,6 +474,15 @@ fn vm_a_verdict_is_on_the_bus_soon_after_its_frame() {
             pauses[2]
         ),
     );
+}
+
+/// Milliseconds from each status frame to the next, of those whose times both count.
+fn pauses_ms(statuses: &[(f64, GapStatus)], counts: impl Fn(f64) -> bool) -> Vec<f64> {
+    let pairs = statuses.windows(2);
+    pairs
+        .filter(|pair| counts(pair[0].0) && counts(pair[1].0))
+        .map(|pair| (pair[1].0 - pair[0].0) * 1e3)
+        .collect()
 }
 
 /// Median, 99th percentile and largest.
@@ -890,12 +884,7 @@ fn vm_faults_at_random_lose_no_warning_and_no_memory() {
         };
         !events.iter().any(disturbed)
     };
-    let pauses: Vec<f64> = all
-        .windows(2)
-        .filter(|pair| quiet(pair[0].0) && quiet(pair[1].0))
-        .map(|pair| (pair[1].0 - pair[0].0) * 1e3)
-        .collect();
-    let pauses = percentiles(pauses);
+    let pauses = percentiles(pauses_ms(&all, quiet));
     assert!(pauses[2] < 150.0, "between status frames, ms: {pauses:?}");
     report(
         &share,

@@ -1,4 +1,4 @@
-//! Drives as raw frames of a camera, for the virtual machines to play.
+//! What virtual machines are given: drives as raw frames of a camera to play, and a lane model with its reference.
 #![allow(
     dead_code,
     clippy::unwrap_used,
@@ -10,6 +10,31 @@ use std::fs;
 use std::path::Path;
 
 use gapwatch::frame::{Picture, open};
+
+use crate::program::gapwatch_in;
+
+const MODEL: &str = concat!(
+    env!("CARGO_MANIFEST_DIR"),
+    "/calibration/enet-sad-small-160x80"
+);
+
+/// Puts the smallest lane model into a folder, as `lane.onnx`, and a reference made for it, as `reference.json`.
+pub fn lane_model(folder: &Path) {
+    for kind in ["onnx", "toml"] {
+        fs::copy(
+            format!("{MODEL}.{kind}"),
+            folder.join(format!("lane.{kind}")),
+        )
+        .unwrap();
+    }
+    let drives = "scene:sim?seed=1001..1040&seconds=3";
+    let calibrate = ["calibrate", "--model", "lane.onnx", "--sim", drives];
+    gapwatch_in(
+        folder,
+        &[&calibrate[..], &["--out", "reference.json"]].concat(),
+    )
+    .ok();
+}
 
 /// All pictures of a drive.
 pub fn pictures(name: &str) -> Vec<Picture> {
