@@ -31,7 +31,8 @@
 
   // A chart of the lines in [from, to]: what it holds is given as rows, from the top.
   function draw(parent, [from, to], rows) {
-    const width = Math.max(parent.clientWidth, 240), left = width < 560 ? 82 : 100, right = 8;
+    // What is not on the screen, but will be on paper, takes the width of what is.
+    const width = Math.max(parent.clientWidth || charts.clientWidth, 240), left = width < 560 ? 82 : 100, right = 8;
     const x = (time) => left + ((time - from) / (to - from)) * (width - left - right);
     const height = rows.reduce((sum, row) => sum + row.height + 42, 0) + 16;
     const svg = svgOf("svg", { viewBox: `0 0 ${width} ${height}`, height, "aria-hidden": "true" });

@@ -143,11 +143,16 @@ def check_evidence(page):
 
 def check_print(page):
     """On paper every alarm is open, nothing is cut off at the right, and there are no buttons."""
-    page.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "print"})
+    # A browser says so before it lays out the paper.
     page.execute_script("window.dispatchEvent(new Event('beforeprint'))")
+    page.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "print"})
+    drawn_for = lambda svg: float(svg.get_dom_attribute("viewBox").split()[2])
+    chart = drawn_for(page.find_element(By.CSS_SELECTOR, "#charts svg"))
     for behind in page.find_elements(By.CSS_SELECTOR, "tr.behind"):
         assert behind.is_displayed()
-        assert behind.find_elements(By.CSS_SELECTOR, ".closer svg"), "no closer look"
+        closer = behind.find_elements(By.CSS_SELECTOR, ".closer svg")
+        assert closer, "no closer look"
+        assert drawn_for(closer[0]) >= 0.8 * chart, "drawn for another width, so scaled on paper"
     wide = page.execute_script("return document.documentElement.scrollWidth - document.documentElement.clientWidth")
     assert wide <= 0, f"{wide} pixels too wide"
     assert not page.find_element(By.ID, "in").is_displayed()
