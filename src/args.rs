@@ -264,7 +264,9 @@ pub struct Metrics(pub Vec<Metric>);
 ///
 /// DIR gets one sheet a frame, NNNNNN.png: what the model sees with the lanes it marks in blue-green, then the energies
 /// of each tap over the darkened picture, brighter is more, each from 0 to its own peak; below them the picture as it is, and
-/// for each tap which of 4x4 regions differ from the reference, brighter is farther, eight nominal spreads are brightest.
+/// for each tap which of 4x4 regions differ from the reference, brighter is farther, eight nominal spreads are brightest; and
+/// how far each channel is from nominal, over a band of two spreads. With a reference of histograms, instead of these: the
+/// live histogram in orange, the reference in blue-green, a white line under the bins that are counted, the others grey.
 /// inspect.json has the numbers, each frame judged by itself.
 #[derive(Debug, Args)]
 #[command(after_help = format!("{SOURCES}\n\nExample:\n  gapwatch inspect drive.mp4 --out sheets --count 6"))]

@@ -52,6 +52,7 @@ pub mod intake;
 
 pub mod detector;
 pub mod profile;
+pub mod profile_chart;
 
 pub mod alarm;
 pub mod health;

@@ -365,8 +365,9 @@ fn inspect_writes_a_sheet_a_frame_and_the_numbers_behind_them() {
             .path()
             .join("sheets")
             .join(frame["sheet"].as_str().unwrap());
-        // Panels of 320x160, enlarged twice: the lane mask and three taps, and below each the regions that differ.
-        assert_eq!(image::image_dimensions(sheet).unwrap(), (2_560, 640));
+        // Panels of 320x160, enlarged twice: the lane mask and three taps, and below each the regions that differ, and the
+        // channels.
+        assert_eq!(image::image_dimensions(sheet).unwrap(), (2_560, 960));
         assert!(frame["lane_area"].as_f64().unwrap() > 0.005);
         for tap in ["e2", "e3", "e4"] {
             let tap = &frame["taps"][tap];
@@ -374,6 +375,10 @@ fn inspect_writes_a_sheet_a_frame_and_the_numbers_behind_them() {
             let lift = tap["lift"].as_f64().unwrap();
             assert!(tap["peak_energy"].as_f64().unwrap() > 0.0);
             assert!((share / frame["lane_area"].as_f64().unwrap() - lift).abs() < 1e-9);
+            let profile = &tap["profile"];
+            let numbers = |key: &str| profile[key].as_array().unwrap().len();
+            assert_eq!(profile["kind"], "energies");
+            assert!(numbers("live") > 16 && numbers("live") == numbers("nominal"));
         }
     }
     assert!(numbers["median"]["e4"]["lift"].as_f64().unwrap() > 1.0);
@@ -383,6 +388,34 @@ fn inspect_writes_a_sheet_a_frame_and_the_numbers_behind_them() {
     let args = ["inspect", "black.png", "--out", "dark"];
     let said = gapwatch_in(folder.path(), &args).ok();
     assert!(said.starts_with("dark: 0 sheets of 1 frames"), "{said}");
+}
+
+#[test]
+fn inspect_marks_the_bins_that_a_histogram_counts() {
+    let folder = empty();
+    let calibrate = "calibrate --metric paper --out paper.json --sim scene:sim?seed=1..4&seconds=2";
+    gapwatch_in(folder.path(), &calibrate.split(' ').collect::<Vec<_>>()).ok();
+    let args = "inspect scene:sim?seed=9&seconds=1 --out sheets --count 1 --reference paper.json";
+    gapwatch_in(folder.path(), &args.split(' ').collect::<Vec<_>>()).ok();
+    let sheets = folder.path().join("sheets");
+    let numbers = fs::read_to_string(sheets.join("inspect.json")).unwrap();
+    let numbers: serde_json::Value = serde_json::from_str(&numbers).unwrap();
+    let profile = &numbers["frames"][0]["taps"]["e3"]["profile"];
+    let shares = |key: &str| -> Vec<f64> {
+        let shares = profile[key].as_array().unwrap().iter();
+        shares.map(|share| share.as_f64().unwrap()).collect()
+    };
+    // The paper counts bins 101 to 255 of 256, and most pixels are below.
+    assert_eq!((shares("left_out").len(), shares("live").len()), (101, 155));
+    assert!((shares("live").iter().sum::<f64>() - 1.0).abs() < 1e-9);
+    assert!(shares("left_out").iter().sum::<f64>() > 1.0);
+    // White below the counted bins of the three taps alone.
+    let sheet = image::open(sheets.join("000000.png")).unwrap().to_rgb8();
+    assert_eq!(sheet.dimensions(), (2_560, 640));
+    let white = |x: u32| sheet.get_pixel(x, 639).0 == [255; 3];
+    let first = (640..1_280).find(|&x| white(x)).unwrap() - 640;
+    assert!((first..640).all(|x| white(640 + x)));
+    assert!((first * 256 / 640).abs_diff(101) <= 1, "{first}");
 }
 
 #[test]

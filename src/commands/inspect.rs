@@ -12,11 +12,13 @@ use gapwatch::encoder::Encoder;
 use gapwatch::energies::{BlockMeans, CELLS, EnergyStage, GRID};
 use gapwatch::frame::{Frame, Picture, open};
 use gapwatch::heat;
+use gapwatch::histogram::Binning;
 use gapwatch::intake::Intake;
 use gapwatch::lane::energy_on_lanes;
 use gapwatch::model::ModelSpec;
 use gapwatch::profile::TapProfile;
-use gapwatch::reference::{Component, ModelFingerprint, Reference};
+use gapwatch::profile_chart;
+use gapwatch::reference::{Component, ModelFingerprint, Nominal, Reference, TapReference};
 use image::ExtendedColorType;
 use serde::Serialize;
 
@@ -66,6 +68,17 @@ struct TapNumbers {
     score: Option<f64>,
     /// Which part of the picture differs from the reference.
     regions: Option<Regions>,
+    /// Live numbers beside the reference's, of a frame.
+    profile: Option<Profile>,
+}
+
+/// What is behind a gap.
+#[derive(Clone, Serialize)]
+struct Profile {
+    #[serde(flatten)]
+    of_tap: TapProfile,
+    /// Of a histogram: live shares of the bins before the first counted one, relative to what is counted.
+    left_out: Vec<f64>,
 }
 
 /// Regions of the picture, row by row from the top.
@@ -149,17 +162,18 @@ pub fn run(args: &InspectArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
                 100.0 * share
             )?;
         }
-        if let (Some(score), Some(regions)) = (score, regions)
-            && *score >= 1.0
-        {
-            let (row, column, share) = regions.largest();
-            write!(
-                out,
-                ", score {score:.2}, most of it in row {}, column {} of 4x4 ({:.0} %)",
-                row + 1,
-                column + 1,
-                100.0 * share
-            )?;
+        if let Some(score) = score.filter(|&score| score >= 1.0) {
+            write!(out, ", score {score:.2}")?;
+            if let Some(regions) = regions {
+                let (row, column, share) = regions.largest();
+                write!(
+                    out,
+                    ", most of it in row {}, column {} of 4x4 ({:.0} %)",
+                    row + 1,
+                    column + 1,
+                    100.0 * share
+                )?;
+            }
         }
         writeln!(out)?;
     }
@@ -203,6 +217,35 @@ impl Comparison {
         let blocks = seen.map(|seen| seen.blocks).unwrap_or_default();
         blocks.into_iter().zip(detector.profiles()).collect()
     }
+}
+
+/// What a histogram slices away, before the first bin it counts; empty of what counts everything.
+#[allow(clippy::cast_precision_loss)]
+fn left_out(nominal: &Nominal, common: &EnergyMap) -> Vec<f64> {
+    let Nominal::Histogram {
+        binning:
+            Binning::Attention {
+                temperature,
+                levels,
+                first,
+            },
+        ..
+    } = nominal
+    else {
+        return Vec::new();
+    };
+    let all = Binning::Attention {
+        temperature: *temperature,
+        levels: *levels,
+        first: 0,
+    };
+    let mut counts = vec![0; *levels];
+    if all.count(common, &mut counts).is_err() {
+        return Vec::new();
+    }
+    let (before, counted) = counts.split_at(*first);
+    let total = counted.iter().sum::<u32>().max(1) as f64;
+    before.iter().map(|&count| count as f64 / total).collect()
 }
 
 impl Regions {
@@ -284,14 +327,20 @@ fn inspect(
     let seen = stage.seen();
     let lane = stage.lane();
     inspected.lane_area = lane.map(|lane| lane.area());
-    let compared = comparison.map(|comparison| comparison.compare(&maps, stage.means()));
+    let mut compared = Vec::new();
+    let mut counted_as: &[TapReference] = &[];
+    if let Some(comparison) = comparison {
+        compared = comparison.compare(&maps, stage.means());
+        counted_as = &comparison.reference.components[0].taps;
+    }
     let mut differs: Vec<Picture> = vec![seen.clone()];
+    let mut charts: Vec<Picture> = vec![seen.clone()];
     let mut panels: Vec<Picture> = vec![match lane {
         Some(lane) => heat::with_lanes(&seen, lane),
         None => seen.clone(),
     }];
     for (index, (tap, map)) in spec.taps.iter().zip(&maps).enumerate() {
-        let of_tap = compared.as_ref().and_then(|compared| compared.get(index));
+        let of_tap = compared.get(index);
         let deviations = of_tap.and_then(|(_, profile)| profile.cell_deviations());
         if let Some(deviations) = &deviations {
             differs.push(heat::with_regions(&seen, deviations));
@@ -299,6 +348,20 @@ fn inspect(
         panels.push(heat::with_energy(&seen, map));
         let mut common = EnergyMap::default();
         Upsampler::new((map.width, map.height), stage.common_size()).resample(map, &mut common);
+        let profile = of_tap
+            .zip(counted_as.get(index))
+            .map(|((_, profile), tap)| {
+                let left_out = left_out(&tap.nominal, &common);
+                charts.push(profile_chart::panel(
+                    profile,
+                    &left_out,
+                    (seen.width, seen.height),
+                ));
+                Profile {
+                    of_tap: profile.clone(),
+                    left_out,
+                }
+            });
         let on_lanes = lane.and_then(|lane| energy_on_lanes(&common, lane));
         let area = inspected.lane_area.filter(|&area| area > 0.0);
         inspected.taps.insert(
@@ -315,13 +378,16 @@ fn inspect(
                         share: in_rows(&profile.cell_shares()?),
                     })
                 }),
+                profile,
             },
         );
     }
     let scale = PANEL_WIDTH_PX.div_ceil(seen.width);
     let columns = panels.len();
-    if differs.len() == columns {
-        panels.extend(differs);
+    for row in [differs, charts] {
+        if row.len() == columns {
+            panels.extend(row);
+        }
     }
     let sheet = heat::sheet(&panels, columns, scale as usize);
     let name = format!("{:06}.png", frame.sequence);
@@ -349,5 +415,6 @@ fn medians(tap: &str, frames: &[Inspected]) -> TapNumbers {
         gap: median(|n| n.gap),
         score: median(|n| n.score),
         regions: Regions::median(tap, frames),
+        profile: None,
     }
 }
