@@ -161,6 +161,106 @@ fn fuzz_camera_buffers() {
     );
 }
 
+/// A message with a picture as ROS 2 writes them.
+#[derive(serde::Serialize)]
+struct RosImage {
+    stamp: (i32, u32),
+    frame_id: String,
+    height: u32,
+    width: u32,
+    encoding: String,
+    is_bigendian: u8,
+    step: u32,
+    data: serde_bytes::ByteBuf,
+}
+
+/// Recordings with the same picture four times, in each form of the file; without check sums, so that damage gets inside.
+fn recordings() -> Vec<Vec<u8>> {
+    let image = RosImage {
+        stamp: (7, 500_000_000),
+        frame_id: "camera".to_owned(),
+        height: 32,
+        width: 48,
+        encoding: "bgr8".to_owned(),
+        is_bigendian: 0,
+        step: 144,
+        data: picture().into_raw().into(),
+    };
+    let ros = cdr_encoding::to_vec::<_, byteorder::LittleEndian>(&image).unwrap();
+    let ros = [&[0, 1, 0, 0], ros.as_slice()].concat();
+    let data = base64::Engine::encode(
+        &base64::engine::general_purpose::STANDARD,
+        encoded(image::ImageFormat::Jpeg),
+    );
+    let json = format!(r#"{{"timestamp":{{"sec":7,"nsec":5}},"format":"jpeg","data":"{data}"}}"#);
+    let options = || {
+        let options = mcap::WriteOptions::new().calculate_chunk_crcs(false);
+        let options = options.calculate_data_section_crc(false);
+        options.calculate_summary_section_crc(false)
+    };
+    let forms = [
+        options().use_chunks(false),
+        options().compression(None),
+        options().compression(Some(mcap::Compression::Lz4)),
+        options().compression(Some(mcap::Compression::Zstd)),
+    ];
+    let written = forms.into_iter().map(|options| {
+        let mut writer = options.create(std::io::Cursor::new(Vec::new())).unwrap();
+        for (schema, encoding, topic, message) in [
+            ("sensor_msgs/msg/Image", "cdr", "/ros", ros.as_slice()),
+            (
+                "foxglove.CompressedImage",
+                "json",
+                "/camera",
+                json.as_bytes(),
+            ),
+        ] {
+            let schema = writer.add_schema(schema, "none", b"").unwrap();
+            let none = std::collections::BTreeMap::new();
+            let channel_id = writer.add_channel(schema, topic, encoding, &none).unwrap();
+            for sequence in 0..4 {
+                let log_time = 100_000_000 * u64::from(sequence);
+                let header = mcap::records::MessageHeader {
+                    channel_id,
+                    sequence,
+                    log_time,
+                    publish_time: log_time,
+                };
+                writer.write_to_known_channel(&header, message).unwrap();
+            }
+        }
+        writer.finish().unwrap();
+        writer.into_inner().into_inner()
+    });
+    written.collect()
+}
+
+#[test]
+fn fuzz_recordings() {
+    let whole = |path: &Path, topic: &str| {
+        let Ok(mut source) = open(&format!("{}?topic={topic}", path.display())) else {
+            return false;
+        };
+        let mut pictures = 0;
+        while let Ok(Some(frame)) = source.next_frame() {
+            pictures += u32::from(frame.picture.is_ok());
+        }
+        pictures == 4
+    };
+    let seeds = recordings();
+    let folder = scratch();
+    let path = folder.path().join("a.mcap");
+    for seed in &seeds {
+        fs::write(&path, seed).unwrap();
+        assert!(whole(&path, "/ros") && whole(&path, "/camera"));
+    }
+    let mut round = 0_usize;
+    fuzz_file("recordings", "a.mcap", &seeds, |path| {
+        round += 1;
+        whole(path, ["/ros", "/camera"][round % 2])
+    });
+}
+
 #[test]
 fn fuzz_references() {
     let path = Path::new(ROOT).join("calibration/sim.json");
