@@ -5,7 +5,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::encoder::FeatureMap;
+use crate::encoder::{FeatureMap, Kernel};
 use crate::undefined::Undefined;
 
 /// Energy of one block, `[height, width]`, row by row; finite, never negative, and not everywhere the same.
@@ -49,12 +49,17 @@ pub fn energy_from_features(
     (map.width, map.height) = (width, height);
     map.energy.clear();
     map.energy.resize(cells, 0.0);
-    for channel in features.activations.chunks_exact(cells) {
-        for (energy, &activation) in map.energy.iter_mut().zip(channel) {
-            let activation = f64::from(activation);
-            *energy += activation * activation;
-        }
-    }
+    Kernel::fastest().vectorised(
+        #[inline(always)]
+        || {
+            for channel in features.activations.chunks_exact(cells) {
+                for (energy, &activation) in map.energy.iter_mut().zip(channel) {
+                    let activation = f64::from(activation);
+                    *energy += activation * activation;
+                }
+            }
+        },
+    );
     if let Some(cell) = map.energy.iter().position(|g| !g.is_finite()) {
         let channel = features
             .activations

@@ -5,7 +5,7 @@ use std::ops::Range;
 use serde::{Deserialize, Serialize};
 
 use crate::attention::{EnergyMap, common_size, energy_from_features};
-use crate::encoder::{Encoder, EncoderError, EncoderSession, FeatureMap};
+use crate::encoder::{Encoder, EncoderError, EncoderSession, FeatureMap, Kernel, turned};
 use crate::frame::pixels::Pixels;
 use crate::frame::{Frame, Picture};
 use crate::image_quality::{ImageQuality, QualityMeter};
@@ -127,64 +127,143 @@ impl EnergyStage {
 impl BlockMeans {
     /// Takes over a block's feature map; allocates only when the number of channels changes.
     pub fn take(&mut self, features: &FeatureMap<'_>) {
+        Kernel::fastest().vectorised(
+            #[inline(always)]
+            || self.take_with_vectors(features),
+        );
+    }
+
+    #[inline(always)]
+    fn take_with_vectors(&mut self, features: &FeatureMap<'_>) {
         let [channels, height, width] = features.shape;
         self.activation.resize(channels, 0.0);
         self.energy.resize(channels + CELLS, 0.0);
-        let (of_channels, of_cells) = self.energy.split_at_mut(channels);
-        of_cells.fill(0.0);
-        let pixels = reciprocal(height * width);
-        // Column x of a map is in column `x GRID / width` of the grid; rows alike.
-        let edge = |cell: usize, length: usize| (cell * length).div_ceil(GRID);
-        let columns: [_; GRID] =
-            std::array::from_fn(|cell| edge(cell, width)..edge(cell + 1, width));
-        let rows = |cell: usize| edge(cell + 1, height) - edge(cell, height);
-        let pixels_of: [f64; CELLS] =
-            std::array::from_fn(|cell| reciprocal(rows(cell / GRID) * columns[cell % GRID].len()));
-        let maps = features.activations.chunks_exact((height * width).max(1));
-        let means = self.activation.iter_mut().zip(of_channels);
-        for (map, (activation, energy)) in maps.zip(means) {
-            let mut sums = [[0.0; 2]; CELLS];
-            for (y, row) in map.chunks_exact(width).enumerate() {
-                let first = y * GRID / height * GRID;
-                add_row(row, &columns, &mut sums[first..][..GRID]);
-            }
-            let squares = sums.map(|[_, square]| square);
-            *activation = sums.iter().map(|[sum, _]| sum).sum::<f64>() * pixels;
-            *energy = squares.iter().sum::<f64>() * pixels;
-            for ((cell, square), pixels) in of_cells.iter_mut().zip(squares).zip(pixels_of) {
-                *cell += (square * pixels).sqrt().sqrt();
+        let cells = Cells::new(height, width);
+        self.energy[channels..].fill(0.0);
+        let map = (height * width).max(1);
+        let mut pairs = features.activations.chunks_exact(2 * map);
+        for (pair, maps) in pairs.by_ref().enumerate() {
+            let (first, second) = maps.split_at(map);
+            for (n, sums) in cells.sums([first, second]).iter().enumerate() {
+                self.set(2 * pair + n, sums, &cells);
             }
         }
-        for cell in of_cells {
+        if let Some(last) = channels.checked_sub(1)
+            && let Some(only) = pairs.remainder().get(..map)
+        {
+            let [sums] = cells.sums([only]);
+            self.set(last, &sums, &cells);
+        }
+        for cell in &mut self.energy[channels..] {
             *cell = (*cell * reciprocal(channels)).powi(4);
+        }
+    }
+
+    /// Notes one channel, and adds its share to the cells.
+    #[inline(always)]
+    fn set(&mut self, channel: usize, sums: &[CellSums; GRID], cells: &Cells) {
+        let pixels = reciprocal(cells.height * cells.width);
+        let (of_channels, of_cells) = self.energy.split_at_mut(self.activation.len());
+        let values = sums.iter().flat_map(|row| row.values);
+        self.activation[channel] = values.sum::<f64>() * pixels;
+        let squares = || sums.iter().flat_map(|row| row.squares);
+        of_channels[channel] = squares().sum::<f64>() * pixels;
+        for ((cell, square), pixels) in of_cells.iter_mut().zip(squares()).zip(cells.reciprocals) {
+            *cell += (square * pixels).sqrt().sqrt();
         }
     }
 }
 
-/// Adds a row's values and their squares to the sums of its cells. Cells of one width are added to side by side, since each
-/// sum must wait for the value before.
-fn add_row(row: &[f32], columns: &[Range<usize>; GRID], sums: &mut [[f64; 2]]) {
-    let add = |[sum, squares]: &mut [f64; 2], a: f32| {
-        let a = f64::from(a);
-        *sum += a;
-        *squares += a * a;
-    };
-    let width = columns[0].len();
-    if columns.iter().all(|cell| cell.len() == width)
-        && let Ok(sums) = <&mut [[f64; 2]; GRID]>::try_from(&mut *sums)
-    {
-        let mut own = *sums;
-        for x in 0..width {
-            for (cell, sums) in own.iter_mut().enumerate() {
-                add(sums, row[cell * width + x]);
+/// The coarse grid over maps of one size: column x of a map is in column `x GRID / width` of the grid; rows alike.
+struct Cells {
+    height: usize,
+    width: usize,
+    columns: [Range<usize>; GRID],
+    /// Row by row, one over the number of pixels.
+    reciprocals: [f64; CELLS],
+}
+
+/// Values, and their squares, in the cells of one row of the grid.
+#[derive(Clone, Copy, Default)]
+struct CellSums {
+    values: [f64; GRID],
+    squares: [f64; GRID],
+}
+
+impl CellSums {
+    #[inline(always)]
+    fn add(&mut self, cell: usize, value: f32) {
+        let value = f64::from(value);
+        self.values[cell] += value;
+        self.squares[cell] += value * value;
+    }
+}
+
+impl Cells {
+    #[inline(always)]
+    fn new(height: usize, width: usize) -> Self {
+        let columns: [_; GRID] =
+            std::array::from_fn(|cell| edge(cell, width)..edge(cell + 1, width));
+        let rows = |cell: usize| edge(cell + 1, height) - edge(cell, height);
+        let reciprocals =
+            std::array::from_fn(|cell| reciprocal(rows(cell / GRID) * columns[cell % GRID].len()));
+        Self {
+            height,
+            width,
+            columns,
+            reciprocals,
+        }
+    }
+
+    /// Sums of some channels' maps, added up side by side: each sum must wait for the value before.
+    #[inline(always)]
+    fn sums<const N: usize>(&self, maps: [&[f32]; N]) -> [[CellSums; GRID]; N] {
+        let mut sums = [[CellSums::default(); GRID]; N];
+        for row in 0..GRID {
+            let rows = edge(row, self.height)..edge(row + 1, self.height);
+            let mut own = [CellSums::default(); N];
+            for y in rows {
+                let rows = maps.map(|map| &map[y * self.width..][..self.width]);
+                self.add_row(&rows, &mut own);
+            }
+            for (sums, own) in sums.iter_mut().zip(own) {
+                sums[row] = own;
             }
         }
-        *sums = own;
-        return;
+        sums
     }
-    for (sums, columns) in sums.iter_mut().zip(columns) {
-        row[columns.clone()].iter().for_each(|&a| add(sums, a));
+
+    #[inline(always)]
+    fn add_row<const N: usize>(&self, rows: &[&[f32]; N], sums: &mut [CellSums; N]) {
+        let width = self.columns[0].len();
+        let alike = self.columns.iter().all(|columns| columns.len() == width);
+        let turned_up_to = if alike { width - width % 4 } else { 0 };
+        for x in (0..turned_up_to).step_by(4) {
+            for (row, sums) in rows.iter().zip(&mut *sums) {
+                let of_cell = |cell: usize| {
+                    let four = &row[cell * width + x..][..4];
+                    [four[0], four[1], four[2], four[3]]
+                };
+                for values in turned([of_cell(0), of_cell(1), of_cell(2), of_cell(3)]) {
+                    for (cell, value) in values.into_iter().enumerate() {
+                        sums.add(cell, value);
+                    }
+                }
+            }
+        }
+        for (cell, columns) in self.columns.iter().enumerate() {
+            for x in columns.start + turned_up_to..columns.end {
+                for (row, sums) in rows.iter().zip(&mut *sums) {
+                    sums.add(cell, row[x]);
+                }
+            }
+        }
     }
+}
+
+/// Where a cell of the grid begins on a side of a map.
+fn edge(cell: usize, length: usize) -> usize {
+    (cell * length).div_ceil(GRID)
 }
 
 /// `1 / count`; 0 of nothing.
@@ -220,6 +299,25 @@ mod tests {
         assert!((means.energy[2] - first).abs() < 1e-12);
         assert!((means.energy[17] - last).abs() < 1e-9);
         assert_eq!(means.energy.len(), 2 + CELLS);
+    }
+
+    #[test]
+    fn every_set_of_instructions_comes_to_the_same_bits() {
+        for shape in [[5, 20, 40], [2, 9, 33], [1, 4, 12]] {
+            let values = (0..shape.iter().product()).map(|i| (i as f32 * 0.7).sin());
+            let activations = &values.collect::<Vec<f32>>()[..];
+            let of_kernel = |kernel: Kernel| {
+                let mut means = BlockMeans::default();
+                kernel.vectorised(
+                    #[inline(always)]
+                    || means.take_with_vectors(&FeatureMap { shape, activations }),
+                );
+                means
+            };
+            for kernel in Kernel::available() {
+                assert_eq!(of_kernel(kernel), of_kernel(Kernel::Portable), "{kernel:?}");
+            }
+        }
     }
 
     #[test]

@@ -21,6 +21,7 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant, SystemTime};
 
 use serde::{Deserialize, Serialize};
+use thread_priority::{ThreadPriority, ThreadPriorityValue};
 
 use crate::alarm::AlarmState;
 use crate::frame::pixels::Pixels;
@@ -42,6 +43,8 @@ const RING_MAX: usize = 10;
 const EXPIRE_EVERY: Duration = Duration::from_secs(600);
 /// Messages on their way to the writer.
 const QUEUE_MAX: usize = 16;
+/// Priority of the writer from 0 to 99; on Linux this is niceness 10, a tenth of a verdict's share of a busy processor.
+const WRITER_PRIORITY: u8 = 22;
 
 /// How much a folder of evidence may hold, and for how long; the oldest events go first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -119,6 +122,15 @@ pub struct Recorder {
     dropped_frames: u64,
 }
 
+/// Pictures may be late, verdicts may not.
+fn yield_to_verdicts() {
+    let priority = ThreadPriorityValue::try_from(WRITER_PRIORITY);
+    let lowered = priority.map(|value| ThreadPriority::Crossplatform(value).set_for_current());
+    if !matches!(lowered, Ok(Ok(()))) {
+        log::debug!("the evidence writer keeps its priority: {lowered:?}");
+    }
+}
+
 impl Recorder {
     /// Begins to record into `folder`, which is made if it is missing; events that are there stay, within the quota.
     ///
@@ -130,7 +142,10 @@ impl Recorder {
         let (sender, receiver) = sync_channel(QUEUE_MAX);
         let writer = std::thread::Builder::new()
             .name("evidence".to_owned())
-            .spawn(move || Writer::new(folder, taps).run(&receiver))?;
+            .spawn(move || {
+                yield_to_verdicts();
+                Writer::new(folder, taps).run(&receiver)
+            })?;
         Ok(Self {
             sender,
             writer,
@@ -378,8 +393,8 @@ mod tests {
                 spread: vec![],
             }],
         });
-        // The writer's queue is short and this test faster than any camera.
-        std::thread::sleep(Duration::from_millis(2));
+        // The writer's queue is short, its thread yields to others, and this test is faster than any camera.
+        std::thread::sleep(Duration::from_millis(10));
     }
 
     /// `count` alarms, one every 10 s, each with a second of suspicion before the gap.
@@ -425,6 +440,30 @@ mod tests {
             event.moments.iter().filter(|m| !m.heat.is_empty()).count(),
             2
         );
+    }
+
+    #[test]
+    #[cfg(target_os = "linux")]
+    fn the_writer_comes_after_the_verdicts() {
+        let folder = tempfile::tempdir().unwrap();
+        let recorder = Recorder::start(folder.path(), Quota::default(), &[]).unwrap();
+        let niceness = || {
+            let threads = std::fs::read_dir("/proc/self/task").unwrap();
+            let stats = threads.filter_map(|entry| {
+                std::fs::read_to_string(entry.unwrap().path().join("stat")).ok()
+            });
+            let of_writers = stats.filter_map(|stat| {
+                let (_, rest) = stat.split_once("(evidence) ")?;
+                rest.split(' ').nth(16)?.parse::<i32>().ok()
+            });
+            of_writers.max().unwrap()
+        };
+        let until = Instant::now() + Duration::from_secs(10);
+        while niceness() < 10 && Instant::now() < until {
+            std::thread::sleep(Duration::from_millis(5));
+        }
+        assert_eq!(niceness(), 10);
+        recorder.finish();
     }
 
     #[test]

@@ -127,15 +127,14 @@ impl Kernel {
     /// work is compiled for them.
     #[inline]
     pub fn vectorised(self, work: impl FnOnce()) {
-        // SAFETY: AVX-512 and AVX2 come from `available` and `fastest` alone, which have asked the processor.
-        unsafe {
-            match self {
-                #[cfg(target_arch = "x86_64")]
-                Self::Avx512 => x86::with_avx512(work),
-                #[cfg(target_arch = "x86_64")]
-                Self::Avx2 => x86::with_avx2(work),
-                Self::Portable => work(),
-            }
+        match self {
+            // SAFETY: AVX-512 and AVX2 come from `available` and `fastest` alone, which have asked the processor.
+            #[cfg(target_arch = "x86_64")]
+            Self::Avx512 => unsafe { x86::with_avx512(work) },
+            // SAFETY: as above.
+            #[cfg(target_arch = "x86_64")]
+            Self::Avx2 => unsafe { x86::with_avx2(work) },
+            Self::Portable => work(),
         }
     }
 
