@@ -38,13 +38,13 @@ if [ "$(cat install.code)" != 0 ]; then
 fi
 done_as version gapwatch --version
 done_as listed dpkg -L gapwatch
-cp car.toml lane.onnx lane.toml reference.json /etc/gapwatch/
+cp /usr/share/gapwatch/boards/emulated-arm64.toml /etc/gapwatch/car.toml
+done_as replay gapwatch replay "$(cat short-drive)" --journal replay.jsonl
 
 while [ ! -e quiet ]; do cat nominal; done | play &
 playing=$!
 sleep 1
 done_as doctor gapwatch doctor --board /etc/gapwatch/car.toml
-done_as default gapwatch doctor --board default.toml
 touch quiet
 wait $playing
 
@@ -88,4 +88,4 @@ traces >removed.out
 done_as purge dpkg -P gapwatch
 traces >purged.out
 find / -xdev -not -path '/proc/*' -not -path '/root/*' | sort >files-after.log
-cp ./*.out ./*.code ./*.log /share/
+cp ./*.out ./*.code ./*.log replay.jsonl /share/
