@@ -45,7 +45,11 @@ player() {
   done 2>/dev/null | play
 }
 
-show() { echo "$1" >showing; }
+# In one step, since the player reads it at any moment.
+show() {
+  echo "$1" >showing.new
+  mv showing.new showing
+}
 
 # picture CLIP SECONDS: shows it for a while.
 picture() {
