@@ -66,6 +66,7 @@ pub fn run(args: &ReplayArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
         .as_deref()
         .map(|folder| {
             Recorder::start(folder, args.quota(), &model.spec.taps)
+                .map(Recorder::patient)
                 .with_context(|| format!("cannot keep evidence in {}", folder.display()))
         })
         .transpose()?;
