@@ -43,9 +43,6 @@ const RING_MAX: usize = 10;
 const EXPIRE_EVERY: Duration = Duration::from_secs(600);
 /// Messages on their way to the writer.
 const QUEUE_MAX: usize = 16;
-/// Pictures compressed with each that comes, right after a verdict and, of a camera, before the next frame: those from before
-/// an alarm come one by one, since ten at once would be beside ten frames of the loop and slow their caches.
-const COMPRESSED_AT_ONCE: usize = 2;
 /// Priority of the writer from 0 to 99; on Linux this is niceness 10, a tenth of a verdict's share of a busy processor.
 const WRITER_PRIORITY: u8 = 22;
 
@@ -241,18 +238,9 @@ struct Writer {
     taps: Vec<String>,
     /// The last moments, as their source gave them: nothing is compressed while nothing happens.
     ring: VecDeque<Message>,
-    open: Option<Gathering>,
+    /// The event that is being gathered, and until when.
+    open: Option<(Vec<Held>, usize, Duration)>,
     kept: Kept,
-}
-
-/// The event that is being gathered.
-struct Gathering {
-    moments: Vec<Held>,
-    /// Those after them, which are not compressed yet.
-    waiting: VecDeque<Message>,
-    /// Sequence number of the frame that it began with.
-    edge: u64,
-    until: Duration,
 }
 
 impl Writer {
@@ -288,29 +276,28 @@ impl Writer {
 
     fn take(&mut self, message: Message) {
         let (edge, at) = (message.edge, message.at);
-        if self.open.as_ref().is_some_and(|open| at > open.until) {
+        if self.open.as_ref().is_some_and(|(.., until)| at > *until) {
             self.close();
         }
-        match &mut self.open {
-            Some(open) => {
-                open.waiting.push_back(message);
-                if edge {
-                    // From suspicion to gap: the same event, for longer.
-                    open.until = at + AROUND;
+        match (&mut self.open, edge) {
+            // From suspicion to gap: the same event, for longer.
+            (Some((moments, _, until)), true) => {
+                moments.extend(held(message, &self.taps));
+                *until = at + AROUND;
+            }
+            (Some((moments, ..)), false) => moments.extend(held(message, &self.taps)),
+            (None, true) => {
+                let before = self.ring.drain(..);
+                let mut moments: Vec<Held> = before
+                    .filter_map(|before| held(before, &self.taps))
+                    .collect();
+                let edge = moments.len();
+                moments.extend(held(message, &self.taps));
+                if edge < moments.len() {
+                    self.open = Some((moments, edge, at + AROUND));
                 }
-                open.compress(COMPRESSED_AT_ONCE, &self.taps);
             }
-            None if edge => {
-                let edge = message.moment.seq;
-                self.ring.push_back(message);
-                self.open = Some(Gathering {
-                    moments: Vec::new(),
-                    waiting: self.ring.drain(..).collect(),
-                    edge,
-                    until: at + AROUND,
-                });
-            }
-            None => {
+            (None, false) => {
                 if self.ring.len() == RING_MAX {
                     self.ring.pop_front();
                 }
@@ -320,25 +307,14 @@ impl Writer {
     }
 
     fn close(&mut self) {
-        let Some(mut open) = self.open.take() else {
+        let Some((moments, edge, _)) = self.open.take() else {
             return;
         };
-        open.compress(usize::MAX, &self.taps);
-        let moments: Vec<Moment> = open
-            .moments
-            .iter()
-            .map(|held| held.moment.clone())
-            .collect();
-        // Not there when its picture could not be compressed, which was told.
-        let Some(edge) = moments.iter().position(|moment| moment.seq == open.edge) else {
-            return;
+        let event = Event {
+            edge,
+            moments: moments.iter().map(|held| held.moment.clone()).collect(),
         };
-        let event = Event { edge, moments };
-        let files: Vec<_> = open
-            .moments
-            .into_iter()
-            .flat_map(|held| held.files)
-            .collect();
+        let files: Vec<_> = moments.into_iter().flat_map(|held| held.files).collect();
         match self.folder.add(&event, &files) {
             Ok(removed) => {
                 self.kept.events += 1;
@@ -349,15 +325,6 @@ impl Writer {
                 log::warn!("evidence {}: {error}", self.folder.path().display());
             }
         }
-    }
-}
-
-impl Gathering {
-    /// Compresses the oldest `count` of what waits.
-    fn compress(&mut self, count: usize, taps: &[String]) {
-        let next = self.waiting.drain(..count.min(self.waiting.len()));
-        self.moments
-            .extend(next.filter_map(|message| held(message, taps)));
     }
 }
 
