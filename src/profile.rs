@@ -93,6 +93,13 @@ impl TapProfile {
             .collect()
     }
 
+    /// Deviations of the channels, which come before the cells; empty of histograms.
+    pub fn channel_deviations(&self) -> Vec<f64> {
+        let mut deviations = self.deviations();
+        deviations.truncate(deviations.len().saturating_sub(CELLS));
+        deviations
+    }
+
     /// Deviations of the cells of the coarse grid, row by row; `None` of histograms, which do not say where.
     pub fn cell_deviations(&self) -> Option<[f64; CELLS]> {
         let deviations = self.deviations();

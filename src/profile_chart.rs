@@ -1,6 +1,5 @@
 //! Profiles as panels of a sheet: the live histogram over the reference, or how far each channel is from nominal.
 
-use crate::energies::CELLS;
 use crate::frame::Picture;
 use crate::profile::{ProfileKind, TapProfile};
 
@@ -87,8 +86,7 @@ impl Panel {
     }
 
     fn energies(&mut self, profile: &TapProfile) {
-        let deviations = profile.deviations();
-        let channels = &deviations[..deviations.len().saturating_sub(CELLS)];
+        let channels = profile.channel_deviations();
         if channels.is_empty() {
             return;
         }
@@ -131,6 +129,7 @@ fn part(share: f64, rows: usize) -> usize {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::energies::CELLS;
 
     fn histogram(live: Vec<f64>, nominal: Vec<f64>) -> TapProfile {
         TapProfile {

@@ -59,8 +59,7 @@ fn histogram(profile: &TapProfile, out: &mut String) -> fmt::Result {
 
 /// Deviations of the channels as bars, and of the cells as a grid that lies like the picture.
 fn energies(profile: &TapProfile, out: &mut String) -> fmt::Result {
-    let deviations = profile.deviations();
-    let channels = &deviations[..deviations.len().saturating_sub(CELLS)];
+    let channels = profile.channel_deviations();
     let farthest = channels
         .iter()
         .enumerate()
