@@ -117,17 +117,21 @@ fn encoded(format: image::ImageFormat) -> Vec<u8> {
     bytes.into_inner()
 }
 
+fn fuzz_image(file: &str, format: image::ImageFormat) {
+    fuzz_file(file, file, &[encoded(format)], |path| {
+        let mut source = open(path.to_str().unwrap()).unwrap();
+        source.next_frame().unwrap().unwrap().picture.is_ok()
+    });
+}
+
 #[test]
-fn fuzz_images() {
-    for (file, format) in [
-        ("a.png", image::ImageFormat::Png),
-        ("a.jpg", image::ImageFormat::Jpeg),
-    ] {
-        fuzz_file(file, file, &[encoded(format)], |path| {
-            let mut source = open(path.to_str().unwrap()).unwrap();
-            source.next_frame().unwrap().unwrap().picture.is_ok()
-        });
-    }
+fn fuzz_png() {
+    fuzz_image("a.png", image::ImageFormat::Png);
+}
+
+#[test]
+fn fuzz_jpeg() {
+    fuzz_image("a.jpg", image::ImageFormat::Jpeg);
 }
 
 #[test]
@@ -382,17 +386,23 @@ fn fuzz_what_comes_over_the_bus() {
     );
 }
 
-#[test]
-fn fuzz_shards_and_surveys() {
-    let drive = "scene:sim?seed=3&seconds=1&fps=3&size=64x32";
+const DRIVE: &str = "scene:sim?seed=3&seconds=1&fps=3&size=64x32";
+
+fn built_in() -> (ModelSpec, Encoder) {
     let spec = ModelSpec::new(None, ModelOptions::default()).unwrap();
     let encoder = Encoder::load(&spec).unwrap();
+    (spec, encoder)
+}
+
+#[test]
+fn fuzz_surveys() {
+    let (spec, encoder) = built_in();
     let fingerprint = ModelFingerprint::new(&spec, &encoder);
-    let survey = Survey::of(drive, &encoder, &spec.preprocessing, Keep::Means, &|| {}).unwrap();
+    let survey = Survey::of(DRIVE, &encoder, &spec.preprocessing, Keep::Means, &|| {}).unwrap();
 
     let folder = scratch();
     let store = SurveyStore::open(folder.path(), &fingerprint).unwrap();
-    store.keep(drive, Kept::Means, "", &survey).unwrap();
+    store.keep(DRIVE, Kept::Means, "", &survey).unwrap();
     let path = fs::read_dir(folder.path())
         .unwrap()
         .next()
@@ -414,15 +424,20 @@ fn fuzz_shards_and_surveys() {
         },
         |input| {
             fs::write(&path, input).unwrap();
-            store.find::<Survey>(drive, Kept::Means, None).is_ok()
+            store.find::<Survey>(DRIVE, Kept::Means, None).is_ok()
         },
     );
+}
 
+#[test]
+fn fuzz_shards() {
+    let (spec, encoder) = built_in();
+    let fingerprint = ModelFingerprint::new(&spec, &encoder);
     let reference = fs::read(Path::new(ROOT).join("calibration/sim.json")).unwrap();
     let shard = serde_json::json!({
         "format": "gapwatch-shard", "version": 1, "gapwatch": "0.1.0", "model": fingerprint, "metric": "mahalanobis",
         "window_s": 1.0, "false_alarms_per_hour": 1.0,
-        "sources": [{"source": drive, "role": "simulation", "frames": 3}],
+        "sources": [{"source": DRIVE, "role": "simulation", "frames": 3}],
     });
     let seeds = [shard.to_string().into_bytes(), reference];
     fuzz_file("shards", "shard.json", &seeds, |path| {
