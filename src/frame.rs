@@ -5,6 +5,7 @@
 
 #[cfg(feature = "camera")]
 mod camera;
+mod compressed;
 mod drive;
 mod images;
 mod names;
@@ -18,7 +19,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 
-pub use images::jpeg;
+pub use compressed::jpeg;
 pub use names::{drives, ranges, sort_drives, stamp, template};
 
 use crate::board::CameraWish;

@@ -1,22 +1,12 @@
 //! Image files: a folder in name order, or one image.
 
 use std::fs;
-use std::io::Cursor;
 use std::path::{Path, PathBuf};
 
-use image::codecs::jpeg::JpegEncoder;
-use image::{
-    DynamicImage, ExtendedColorType, ImageDecoder, ImageEncoder, ImageFormat, ImageReader,
-};
-
+use super::compressed::decoded;
 use super::names::name_order;
 use super::pixels::Pixels;
-use super::{
-    FOLDER_FPS, Frame, FrameSource, PIXELS_MAX, Picture, PictureError, SourceError, time_of,
-};
-
-/// Quality of pictures that are written, of 100.
-const JPEG_QUALITY: u8 = 85;
+use super::{FOLDER_FPS, Frame, FrameSource, Picture, PictureError, SourceError, time_of};
 
 /// Whether the name ends like an image that can be read.
 pub fn is_image(path: &Path) -> bool {
@@ -96,64 +86,6 @@ impl FrameSource for ImageSource {
 
 fn read(path: &Path) -> Result<Picture, String> {
     decoded(&fs::read(path).map_err(|error| error.to_string())?)
-}
-
-/// The picture in the bytes of a PNG or JPEG image, or what is wrong with them.
-pub fn decoded(bytes: &[u8]) -> Result<Picture, String> {
-    let format = image::guess_format(bytes)
-        .map_err(|_| format!("{} bytes that are no image", bytes.len()))?;
-    if !is_whole(format, bytes) {
-        return Err(format!("an image cut off after {} bytes", bytes.len()));
-    }
-    let decoder = ImageReader::with_format(Cursor::new(bytes), format)
-        .into_decoder()
-        .map_err(|error| error.to_string())?;
-    let (width, height) = decoder.dimensions();
-    if u64::from(width) * u64::from(height) > PIXELS_MAX {
-        return Err(format!("{width}x{height} pixels, more than {PIXELS_MAX}"));
-    }
-    let picture = DynamicImage::from_decoder(decoder)
-        .map_err(|error| error.to_string())?
-        .into_rgb8();
-    Ok(Picture {
-        width,
-        height,
-        rgb: picture.into_raw(),
-    })
-}
-
-/// A picture as JPEG.
-///
-/// # Errors
-/// When a picture has no pixels, or more than the format takes.
-pub fn jpeg(picture: &Picture) -> image::ImageResult<Vec<u8>> {
-    let mut bytes = Vec::new();
-    JpegEncoder::new_with_quality(&mut bytes, JPEG_QUALITY).write_image(
-        &picture.rgb,
-        picture.width,
-        picture.height,
-        ExtendedColorType::Rgb8,
-    )?;
-    Ok(bytes)
-}
-
-/// The last eight bytes of a PNG: the name of its end chunk and the checksum of that.
-const PNG_END: &[u8] = b"IEND\xAE\x42\x60\x82";
-
-/// Whether the format's end marker is there, in a JPEG after its last scan. The JPEG decoder fills what is missing with
-/// grey without a word.
-fn is_whole(format: ImageFormat, bytes: &[u8]) -> bool {
-    let has =
-        |bytes: &[u8], marker: &[u8]| bytes.windows(marker.len()).any(|window| window == marker);
-    match format {
-        ImageFormat::Png => has(bytes, PNG_END),
-        ImageFormat::Jpeg => {
-            let last_scan = bytes.windows(2).rposition(|marker| marker == [0xFF, 0xDA]);
-            last_scan.is_some_and(|scan| has(&bytes[scan..], &[0xFF, 0xD9]))
-        }
-        // Anything else is left to its decoder, which this build does not have.
-        _ => true,
-    }
 }
 
 #[cfg(test)]

@@ -5,6 +5,7 @@
 
 use std::sync::Arc;
 
+use super::compressed::decoded_jpeg;
 use super::{PIXELS_MAX, Picture};
 
 /// How a camera lays out its pixels.
@@ -69,7 +70,7 @@ impl Layout {
     /// The pixels in a camera's buffer, which is copied or, if it holds a JPEG image, decoded.
     ///
     /// # Errors
-    /// What is wrong with the buffer: too short, or no JPEG image of the granted size.
+    /// What is wrong with the buffer: too short, or no whole JPEG image of the granted size.
     pub fn pixels(&self, bytes: &[u8]) -> Result<Pixels, String> {
         let Self {
             format,
@@ -81,7 +82,7 @@ impl Layout {
             return Err(format!("{width}x{height} pixels"));
         }
         if format == PixelFormat::Mjpg {
-            return self.decode(bytes).map(Pixels::from);
+            return decoded_jpeg(bytes, (width, height)).map(Pixels::from);
         }
         let (width, height) = (width as usize, height as usize);
         let row_bytes = format.row_bytes(width);
@@ -99,24 +100,6 @@ impl Layout {
         Ok(Pixels {
             layout: Self { stride, ..*self },
             bytes: Arc::new(whole.to_vec()),
-        })
-    }
-
-    fn decode(&self, bytes: &[u8]) -> Result<Picture, String> {
-        let decoded = image::load_from_memory_with_format(bytes, image::ImageFormat::Jpeg)
-            .map_err(|error| format!("a buffer of {} bytes: {error}", bytes.len()))?
-            .into_rgb8();
-        let (width, height) = decoded.dimensions();
-        if (width, height) != (self.width, self.height) {
-            return Err(format!(
-                "a JPEG image of {width}x{height}, wanted {}x{}",
-                self.width, self.height
-            ));
-        }
-        Ok(Picture {
-            width,
-            height,
-            rgb: decoded.into_raw(),
         })
     }
 }
@@ -367,6 +350,12 @@ mod tests {
         assert!(picture.rgb[0].abs_diff(200) <= 3);
         assert!(of(64).pixels(&jpeg).unwrap_err().contains("32x16"));
         assert!(of(32).pixels(&jpeg[..20]).is_err());
+        // The decoder fills what is missing with grey.
+        let cut = of(32).pixels(&jpeg[..jpeg.len() - 8]).unwrap_err();
+        assert!(cut.contains("cut off"), "{cut}");
+        // Some cameras fill up their buffers.
+        let filled = [jpeg.as_slice(), &[0; 64]].concat();
+        assert!(of(32).pixels(&filled).is_ok());
         assert!(of(32).pixels(&[]).is_err());
     }
 

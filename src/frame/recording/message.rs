@@ -10,8 +10,9 @@ use byteorder::{BigEndian, LittleEndian};
 use prost::Message as _;
 use serde::Deserialize;
 
+use crate::frame::compressed::decoded;
 use crate::frame::pixels::{Layout, PixelFormat, Pixels};
-use crate::frame::{PIXELS_MAX, Picture, images};
+use crate::frame::{PIXELS_MAX, Picture};
 
 /// What is understood, for messages to people.
 pub const UNDERSTOOD: &str = "sensor_msgs/msg/Image or CompressedImage in cdr, foxglove.RawImage or CompressedImage in protobuf or json";
@@ -73,7 +74,7 @@ impl Kind {
                 let compressed: RosCompressedImage<'_> = from_cdr(message)?;
                 Ok(Image {
                     stamp: compressed.header.stamp.since_epoch(),
-                    picture: images::decoded(compressed.data).map(Pixels::from),
+                    picture: decoded(compressed.data).map(Pixels::from),
                 })
             }
             Self::RawImageProtobuf => {
@@ -85,7 +86,7 @@ impl Kind {
                     CompressedImage::decode(message).map_err(|error| error.to_string())?;
                 Ok(Image {
                     stamp: compressed.timestamp.unwrap_or_default().since_epoch(),
-                    picture: images::decoded(&compressed.data).map(Pixels::from),
+                    picture: decoded(&compressed.data).map(Pixels::from),
                 })
             }
             Self::RawImageJson => {
@@ -102,7 +103,7 @@ impl Kind {
                     serde_json::from_slice(message).map_err(|error| error.to_string())?;
                 Ok(Image {
                     stamp: compressed.timestamp.since_epoch(),
-                    picture: images::decoded(&from_base64(&compressed.data)?).map(Pixels::from),
+                    picture: decoded(&from_base64(&compressed.data)?).map(Pixels::from),
                 })
             }
         }
