@@ -328,7 +328,9 @@ mod tests {
         let mut check = |sequence, millis| {
             let frame = Frame {
                 sequence,
-                ..frame(millis, |x, _| u8::try_from(x).unwrap().wrapping_add(millis as u8))
+                ..frame(millis, |x, _| {
+                    u8::try_from(x).unwrap().wrapping_add(millis as u8)
+                })
             };
             health.check(&frame).is_ok()
         };

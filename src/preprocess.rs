@@ -58,6 +58,14 @@ impl std::fmt::Display for Preprocessing {
     }
 }
 
+impl Preprocessing {
+    /// A value of 0..255 as the encoder expects it.
+    #[inline(always)]
+    fn normalised(&self, channel: usize, value: f32) -> f32 {
+        (value / 255.0 - self.mean[channel]) / self.std[channel]
+    }
+}
+
 /// The whole picture, as a crop.
 pub const CROP_NOTHING: [f64; 4] = [0.0, 0.0, 1.0, 1.0];
 
@@ -159,23 +167,27 @@ impl Preprocessor {
                 channel.columns.shorten(columns, channel.step, short);
             }
         }
-        if plan.colours == Colours::Yuv {
-            rgb_from(&mut self.short);
+        let of = &self.of;
+        match plan.colours {
+            Colours::Rgb => {
+                for (channel, short) in self.short.iter_mut().enumerate() {
+                    for value in short.as_flattened_mut() {
+                        *value = of.normalised(channel, *value);
+                    }
+                }
+            }
+            Colours::Yuv => normalised_rgb(&mut self.short, of),
         }
         let planes = self.input.chunks_exact_mut(width * height);
-        for (channel, (plane, short)) in planes.zip(&mut self.short).enumerate() {
-            let (mean, std) = (self.of.mean[channel], self.of.std[channel]);
-            for value in short.as_flattened_mut() {
-                *value = (*value / 255.0 - mean) / std;
-            }
+        for (plane, short) in planes.zip(&self.short) {
             turn_back(short, width, &mut plane[y * width..]);
         }
     }
 }
 
-/// YCbCr to RGB of 0..255, BT.601 of limited range (ITU-R BT.601-7, 2.5).
+/// YCbCr to normalised RGB, BT.601 of limited range (ITU-R BT.601-7, 2.5).
 #[inline(always)]
-fn rgb_from([y, u, v]: &mut [Vec<Column>; 3]) {
+fn normalised_rgb([y, u, v]: &mut [Vec<Column>; 3], of: &Preprocessing) {
     let (y, u) = (y.as_flattened_mut(), u.as_flattened_mut());
     for ((y, u), v) in y.iter_mut().zip(u).zip(v.as_flattened_mut()) {
         let luma = 255.0 / 219.0 * (*y - 16.0);
@@ -185,7 +197,10 @@ fn rgb_from([y, u, v]: &mut [Vec<Column>; 3]) {
             luma - (0.886 * 0.114 / 0.587) * blue - (0.701 * 0.299 / 0.587) * red,
             luma + 0.886 * blue,
         ];
-        [*y, *u, *v] = rgb.map(|value| value.clamp(0.0, 255.0));
+        let [red, green, blue] = rgb.map(|value| value.clamp(0.0, 255.0));
+        *y = of.normalised(0, red);
+        *u = of.normalised(1, green);
+        *v = of.normalised(2, blue);
     }
 }
 
