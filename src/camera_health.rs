@@ -240,6 +240,7 @@ impl Block {
 mod tests {
     #![allow(clippy::unwrap_used, clippy::cast_possible_truncation)]
     use super::*;
+    use crate::frame::pixels::{Layout, PixelFormat};
     use crate::frame::{Picture, open};
 
     fn frame(millis: u64, value: impl Fn(u32, u32) -> u8) -> Frame {
@@ -303,23 +304,119 @@ mod tests {
             let mixed = (millis / 100) as u32 * 7_919 + x * 104_729 + y * 1_299_709;
             u8::try_from(mixed / 13 % 4).unwrap()
         };
-        let covered_to = |millis: u64, edge: u32| {
+        // A block is 4x4 pixels; one more column of blocks in the upper half.
+        let covered_to = |millis: u64, edge: u32, more: u32| {
             frame(millis, move |x, y| {
-                if x < edge {
+                if x < edge || (y < 16 && x < edge + more) {
                     180 + noise(millis, x, y)
                 } else {
                     u8::try_from((x * 5 + y * 3 + millis as u32 / 10) % 200).unwrap()
                 }
             })
         };
-        let told = |edge| {
+        let told = |edge, more| {
             let mut health = CameraHealth::default();
-            let mut found = (0..30).map(|n| (100 * n, health.check(&covered_to(100 * n, edge))));
+            let mut found =
+                (0..30).map(|n| (100 * n, health.check(&covered_to(100 * n, edge, more))));
             found.find_map(|(at, found)| Some((at, found.err()?)))
         };
-        assert_eq!(told(36), None);
+        assert_eq!(told(36, 0), None);
+        // 76 of 128 blocks: 60 %, and no more.
+        assert_eq!(told(36, 4), None);
         let covered = Undefined::Covered { percent: 63 };
-        assert_eq!(told(40), Some((1_000, covered)));
+        assert_eq!(told(40, 0), Some((1_000, covered)));
+    }
+
+    /// Noise, in every third part of the picture of low values only, with padding behind the rows.
+    fn noise(format: PixelFormat, width: u32, height: u32) -> Pixels {
+        let row_bytes = match format {
+            PixelFormat::Yuyv => 2 * width.next_multiple_of(2),
+            PixelFormat::Nv12 => width.next_multiple_of(2),
+            _ => 3 * width,
+        };
+        let stride = row_bytes + 10;
+        let rows = height + height.div_ceil(2);
+        let bytes: Vec<u8> = (0..rows * stride)
+            .map(|n| {
+                let mixed = n.wrapping_mul(2_654_435_761) >> 7;
+                let part = n % stride * 5 / stride + n / stride * 7 / height;
+                (mixed % if part % 3 == 0 { 24 } else { 256 }) as u8
+            })
+            .collect();
+        let layout = Layout {
+            format,
+            width,
+            height,
+            stride,
+        };
+        layout.pixels(&bytes).unwrap()
+    }
+
+    #[test]
+    fn blocks_are_those_of_plain_loops_in_every_format_and_size() {
+        let formats = [
+            PixelFormat::Yuyv,
+            PixelFormat::Nv12,
+            PixelFormat::Rgb3,
+            PixelFormat::Bgr3,
+        ];
+        // The last one has more rows in a cell than are added up at once.
+        for (width, height) in [(64, 32), (67, 35), (130, 71), (64, 8_320)] {
+            for format in formats {
+                let pixels = noise(format, width, height);
+                let (width, height) = (width as usize, height as usize);
+                let brightness = pixels.brightness();
+                let rows: Vec<&[u8]> = pixels.rows().collect();
+                let mut health = CameraHealth::default();
+                health.look_at_blocks(Duration::ZERO, &pixels);
+                assert_eq!(health.blocks.len(), 16 * 8);
+                let mut black = 0;
+                for (n, block) in health.blocks.iter().enumerate() {
+                    let mut brightest = 0;
+                    for (at, found) in block.cells.iter().enumerate() {
+                        let (column, row) = (n % 16 * 4 + at % 4, n / 16 * 4 + at / 4);
+                        let (mut sum, mut count) = (0, 0);
+                        for row in &rows[row * height / 32..(row + 1) * height / 32] {
+                            for x in column * width / 64..(column + 1) * width / 64 {
+                                let values = match format {
+                                    PixelFormat::Yuyv => &row[2 * x..=2 * x],
+                                    PixelFormat::Nv12 => &row[x..=x],
+                                    _ => &row[3 * x..3 * x + 3],
+                                };
+                                for &value in values {
+                                    sum += u64::from(value);
+                                    count += 1;
+                                    brightest = brightest.max(value);
+                                }
+                            }
+                        }
+                        let wanted = brightness.of_255(sum / count);
+                        assert_eq!(*found, wanted, "{format:?} {width}x{height}: {n}, {at}");
+                    }
+                    let wanted = brightness.of_255(brightest.into()) <= BLACK_MAX;
+                    assert_eq!(block.black, wanted, "{format:?} {width}x{height}: {n}");
+                    black += usize::from(wanted);
+                }
+                let low = format == PixelFormat::Yuyv || format == PixelFormat::Nv12;
+                assert!(!low || (1..128).contains(&black), "{black} black blocks");
+            }
+        }
+    }
+
+    #[test]
+    fn pictures_with_fewer_pixels_than_cells_have_no_blocks() {
+        let mut health = CameraHealth::default();
+        for (width, height, blocks) in [
+            (64, 32, 128),
+            (63, 32, 0),
+            (64, 31, 0),
+            (200, 31, 0),
+            (63, 200, 0),
+        ] {
+            let pixels = noise(PixelFormat::Rgb3, width, height);
+            health.look_at_blocks(Duration::ZERO, &pixels);
+            assert_eq!(health.blocks.len(), blocks, "{width}x{height}");
+        }
     }
 
     #[test]
