@@ -585,6 +585,137 @@ mod tests {
     }
 
     #[test]
+    fn names_are_as_documented_and_no_two_are_the_same() {
+        let states = [
+            (AlarmState::Init, "Init"),
+            (AlarmState::Ok, "Ok"),
+            (AlarmState::Suspect, "Suspect"),
+            (AlarmState::Gap, "Gap"),
+            (AlarmState::SensorFault, "SensorFault"),
+            (AlarmState::Unavailable, "Unavailable"),
+        ];
+        for (state, name) in states {
+            assert_eq!(state.name(), name);
+        }
+        let reasons = [
+            (Reason::None, "none", false),
+            (Reason::Starting, "starting", false),
+            (Reason::Abrupt, "abrupt", false),
+            (Reason::Drift, "drift", false),
+            (Reason::Black, "black", true),
+            (Reason::Uniform, "uniform", true),
+            (Reason::TooSmall, "too-small", false),
+            (Reason::Corrupt, "corrupt", true),
+            (Reason::Stale, "stale", false),
+            (Reason::Undefined, "undefined", false),
+            (Reason::Frozen, "frozen", true),
+            (Reason::Covered, "covered", true),
+            (Reason::Lagging, "lagging", false),
+            (Reason::Parked, "parked", false),
+            (Reason::Stopped, "stopped", false),
+        ];
+        for (reason, name, sensor_fault) in reasons {
+            assert_eq!(reason.name(), name);
+            assert_eq!(reason.is_sensor_fault(), sensor_fault, "{name}");
+        }
+    }
+
+    #[test]
+    fn what_is_wrong_with_a_frame_has_its_own_reason() {
+        let size = (10, 20);
+        for (why, reason) in [
+            (Undefined::Black, Reason::Black),
+            (Undefined::Uniform, Reason::Uniform),
+            (
+                Undefined::TooSmall {
+                    width: size.0,
+                    height: size.1,
+                },
+                Reason::TooSmall,
+            ),
+            (Undefined::Corrupt(String::new()), Reason::Corrupt),
+            (
+                Undefined::OutOfOrder {
+                    number: 1,
+                    before: 2,
+                },
+                Reason::Corrupt,
+            ),
+            (Undefined::Frozen(STALE), Reason::Frozen),
+            (Undefined::Covered { percent: 70 }, Reason::Covered),
+            (Undefined::Late(STALE), Reason::Lagging),
+            (Undefined::ConstantMap, Reason::Undefined),
+        ] {
+            assert_eq!(Reason::from(&why), reason, "{why}");
+        }
+    }
+
+    #[test]
+    fn silence_is_told_after_half_a_second_or_one_and_a_half_frames() {
+        let score = Judgement::Score {
+            score: 0.0,
+            settled: true,
+        };
+        let ms = Duration::from_millis;
+        for (every, patience) in [(100, 500), (333, 500), (1_000, 1_500), (2_000, 3_000)] {
+            let mut alarm = Alarm::with_frames_every(ms(every));
+            assert_eq!(alarm.patience(), ms(patience));
+            assert_eq!(alarm.stale_at(), None);
+            alarm.step(ms(100), score);
+            assert_eq!(alarm.stale_at(), Some(ms(100 + patience)));
+            // Silence and blindness count from the last frame, not from when they are noticed.
+            alarm.step(ms(99 + patience), Judgement::Cannot(Reason::Stale));
+            assert_eq!(alarm.stale_at(), Some(ms(100 + patience)));
+            assert_eq!(alarm.state(), AlarmState::Ok);
+            alarm.step(ms(100 + patience), Judgement::Cannot(Reason::Stale));
+            assert_eq!(alarm.state(), AlarmState::Unavailable);
+            alarm.step(ms(200 + patience), Judgement::Cannot(Reason::Black));
+            assert_eq!(alarm.stale_at(), Some(ms(200 + 2 * patience)));
+        }
+    }
+
+    #[test]
+    fn the_counter_goes_from_its_lowest_to_its_highest_value() {
+        let mut alarm = Alarm::default();
+        let mut counted = vec![];
+        for tenth in 0..40_u32 {
+            let judgement = Judgement::Score {
+                score: if tenth < 30 { 0.0 } else { 1.0 },
+                settled: true,
+            };
+            alarm.step(Duration::from_millis(100) * tenth, judgement);
+            counted.push(alarm.fault_detection_counter());
+        }
+        // Down by 127 in 2 s, to -128; up by 127 in 1 s, from 0.
+        assert_eq!(counted[0], 0);
+        assert_eq!(counted[10], -63);
+        assert_eq!(counted[29], -128);
+        assert_eq!(counted[30], 12);
+        assert_eq!(counted[34], 63);
+        assert_eq!(counted[39], 127);
+    }
+
+    #[test]
+    fn suspicion_that_goes_on_becomes_ok_after_three_seconds_and_a_gap_all_the_same() {
+        // Evidence in two of five frames: 25 up, 19 down.
+        let mut alarm = Alarm::default();
+        for tenth in 0..=101_u32 {
+            let evident = tenth >= 20 && tenth % 5 < 2;
+            let judgement = Judgement::Score {
+                score: if evident { 2.0 } else { 0.0 },
+                settled: true,
+            };
+            alarm.step(Duration::from_millis(100) * tenth, judgement);
+            let wanted = match tenth {
+                20..=50 => AlarmState::Suspect,
+                101 => AlarmState::Gap,
+                _ => AlarmState::Ok,
+            };
+            assert_eq!(alarm.state(), wanted, "frame {tenth}");
+        }
+    }
+
+    #[test]
     fn blind_from_the_start_is_not_init_for_ever() {
         assert_eq!(
             changes(10, &[(5.0, None)]),

@@ -145,8 +145,8 @@ pub enum Speed {
 /// Make a reference from nominal drives or simulator images
 ///
 /// With several sources every second one is held out to scale the gaps; of a single one, its last third. A rendered
-/// drive with seed=A..B stands for one drive a seed. Drives given with --held-out set the rate of false alarms (every
-/// second one) and judge it (the others); without them the reference says that its rate is not demonstrated.
+/// drive with seed=A..B stands for one drive a seed. Drives given with --held-out set the rate of false alarms (three
+/// of four) and judge it (the fourth); without them the reference says that its rate is not demonstrated.
 ///
 /// Drives are taken in an order of their own, so that on the command line does not matter. With --surveys what the encoder
 /// sees of each drive stays on disk: a run that was killed goes on where it was, another rate or metric costs no second look

@@ -14,8 +14,8 @@ use crate::can::speed::SpeedSignal;
 use crate::can::{CanSettings, LARGEST_ID, MessageIds, Sink};
 use crate::whole_file::read_text;
 
-pub use evidence::EvidenceBoard;
 use evidence::EvidenceTable;
+pub use evidence::{EvidenceBoard, KEEP};
 
 /// Largest file.
 const BYTES_MAX: u64 = 1 << 16;
@@ -328,7 +328,7 @@ impl TryFrom<u32> for CanId {
 }
 
 impl Board {
-    /// Reads a board file. Paths in it are taken from its folder.
+    /// Reads a board file. Models, references and folders of evidence in it are taken from its folder.
     ///
     /// # Errors
     /// When the file cannot be read, or anything in it is not understood.

@@ -27,8 +27,8 @@ mod false_alarms;
 
 pub use false_alarms::{DEMONSTRATED, DriveScores, is_judging, poisson_interval};
 
-/// Softmax temperature of the attention histogram, share of the median peak energy (design study: AUROC 0.97 of
-/// telling other sets from unseen scenes, against 0.54 at a fixed T of 10).
+/// Softmax temperature of the attention histogram, share of the median peak energy. A fixed temperature of 10 keeps about
+/// one pixel an image of a trained net (`calibration/RESULTS.md`, field_sets, has both).
 pub const TEMPERATURE_SHARE: f64 = 0.2;
 /// Added to energies before the logarithm, share of the median peak energy.
 pub const EPSILON_SHARE: f64 = 1e-6;

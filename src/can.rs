@@ -397,7 +397,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn default_settings_are_those_of_the_design() {
+    fn default_settings_are_those_of_the_dbc_file() {
         let settings = CanSettings::default();
         for (ids, id) in [
             (settings.status, 0x5D0),

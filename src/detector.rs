@@ -287,6 +287,32 @@ mod tests {
     use crate::histogram::Binning;
     use crate::reference::{Nominal, ScalePoint, TapReference};
 
+    #[test]
+    fn a_score_goes_before_a_drift_and_a_full_window_settles() {
+        let evidence = |score, drift, fill| Evidence {
+            score,
+            blocks: heapless::Vec::new(),
+            component: 0,
+            drift,
+            frames: 1,
+            fill,
+        };
+        let score = |score, settled| Judgement::Score { score, settled };
+        for (found, wanted) in [
+            (evidence(0.5, 0.5, 1.0), score(0.5, true)),
+            (evidence(0.5, 0.999, 0.999), score(0.5, false)),
+            (evidence(0.5, 1.0, 1.0), Judgement::Drift { settled: true }),
+            (
+                evidence(0.999, 1.0, 0.5),
+                Judgement::Drift { settled: false },
+            ),
+            (evidence(1.0, 1.0, 1.0), score(1.0, true)),
+            (evidence(2.0, 0.0, 1.0), score(2.0, true)),
+        ] {
+            assert_eq!(found.judgement(), wanted);
+        }
+    }
+
     /// A detector of one tap with four bins, nominal (1, 1, 1, 1), median 0.1 and threshold 0.3 for any window.
     fn detector(window_s: f64) -> Detector {
         let metric = Metric::LogEnergy(Divergence::JensenShannon);

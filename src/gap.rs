@@ -249,6 +249,31 @@ mod tests {
     }
 
     #[test]
+    fn sets_are_compared_by_all_metrics_but_the_one_that_needs_labelled_drives() {
+        let of_sets = Metric::of_sets();
+        let mut all = Metric::all();
+        assert_eq!(all.len(), 1 + 2 * Divergence::ALL.len() + 3);
+        all.retain(|metric| metric.to_string() != "lane-risk");
+        assert_eq!(of_sets, all);
+    }
+
+    #[test]
+    fn the_last_block_decides_a_forecast_and_every_block_anything_else() {
+        assert_eq!(Metric::LaneRisk.deciding(3), 2..3);
+        assert_eq!(Metric::LaneRisk.deciding(0), 0..0);
+        assert_eq!(Metric::DEFAULT.deciding(3), 0..3);
+    }
+
+    #[test]
+    fn metrics_that_count_histograms_say_how_these_are_compared() {
+        let pearson = Some(Divergence::Pearson);
+        assert_eq!(Metric::Paper.divergence(), pearson);
+        let js = Divergence::JensenShannon;
+        assert_eq!(Metric::LogEnergy(js).divergence(), Some(js));
+        assert_eq!(Metric::Frechet.divergence(), None);
+    }
+
+    #[test]
     fn names_are_read_back() {
         for metric in Metric::all() {
             assert_eq!(metric.to_string().parse(), Ok(metric));

@@ -29,7 +29,7 @@ impl Health {
     #[allow(clippy::cast_precision_loss)]
     pub fn judged_rate_hz(&self, now: Duration) -> f64 {
         let recent = |at: &&Duration| now.saturating_sub(**at) < RATE_SPAN;
-        self.judged_at.iter().filter(recent).count() as f64 / RATE_SPAN.as_secs_f64()
+        self.judged_at.iter().filter(recent).count() as f64
     }
 
     /// The latency that a share of the last frames did not exceed; `None` before the first frame.

@@ -83,7 +83,7 @@ fn the_reference_carries_the_hash_of_the_model() {
     );
 }
 
-/// Everything equal but for floats, which may differ by a share: encoders round differently on other kinds of processor.
+/// Everything equal but for floats, which may differ by a share: encoders round differently on processors without fused products.
 fn assert_alike(place: &str, found: &Value, wanted: &Value) {
     match (found, wanted) {
         (Value::Array(found), Value::Array(wanted)) => {

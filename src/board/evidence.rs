@@ -8,8 +8,8 @@ use serde::Deserialize;
 use crate::evidence::Quota;
 
 const DAY: Duration = Duration::from_secs(86_400);
-/// Days that an event is kept, unless the board says otherwise.
-const DAYS: u32 = 30;
+/// How long an event is kept, unless the board says otherwise: pictures show people.
+pub const KEEP: Duration = Duration::from_secs(30 * 86_400);
 const DAYS_MAX: u32 = 3_650;
 const EVENTS_MAX: u32 = 100_000;
 const MEGABYTES_MAX: u32 = 1_000_000;
@@ -52,11 +52,10 @@ impl EvidenceTable {
     pub(super) fn quota(&self) -> Quota {
         let default = Quota::default();
         let megabytes = self.megabytes.map(|count| u64::from(count.0) * 1_000_000);
-        let days = self.days.map_or(DAYS, |count| count.0);
         Quota {
             bytes: megabytes.unwrap_or(default.bytes),
             events: self.events.map_or(default.events, |count| count.0 as usize),
-            keep: Some(DAY * days),
+            keep: Some(self.days.map_or(KEEP, |count| DAY * count.0)),
         }
     }
 }

@@ -1,7 +1,7 @@
 //! End-to-end protection of the frames: AUTOSAR E2E profile 11, data id mode BOTH.
 //!
 //! Byte 0 is a CRC-8 (polynomial 0x1D, start 0x00, xor 0x00) over data id low byte, data id high
-//! byte and bytes 1 to 7; the low nibble of byte 1 is a counter that runs 0 to 14. The bytes are
+//! byte and byte 1 to the last; the low nibble of byte 1 is a counter that runs 0 to 14. The bytes are
 //! those of profile 1 as well. Owns the counters. Refuses to watch for silence: a receiver that
 //! hears nothing must see that for itself.
 

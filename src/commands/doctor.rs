@@ -18,7 +18,7 @@ use gapwatch::reference::Reference;
 use serde::Serialize;
 
 use super::Model;
-use super::monitor::read_reference;
+use super::monitor::{periods, read_reference};
 use crate::args::{DoctorArgs, TableFormat};
 
 /// What one check found.
@@ -169,6 +169,10 @@ fn reference(
             return (None, Check::fail("reference", format!("{error:#}"), remedy));
         }
     };
+    if let Err(error) = periods(board, &reference, &args.board) {
+        let remedy = "a higher idle_rate_hz in [monitor], or a reference with longer windows";
+        return (None, Check::fail("reference", format!("{error:#}"), remedy));
+    }
     let Some(model) = model else {
         let why = format!("{name} is whole; no model to compare it with");
         return (None, Check::left_out("reference", why));

@@ -12,7 +12,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail};
 use gapwatch::alarm::{AlarmState, Reason};
-use gapwatch::board::Board;
+use gapwatch::board::{self, Board};
 use gapwatch::can::Sink;
 use gapwatch::can::receiver::Heard;
 use gapwatch::can::speed::Parking;
@@ -153,7 +153,11 @@ pub fn run(args: &MonitorArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
 }
 
 /// The board's rates. A window must hold more than one of the slow frames, so that none of them is a hole in time.
-fn periods(board: &Board, reference: &Reference, file: &Path) -> anyhow::Result<Periods> {
+pub(super) fn periods(
+    board: &Board,
+    reference: &Reference,
+    file: &Path,
+) -> anyhow::Result<Periods> {
     let period = |rate_hz: f64| Duration::from_secs_f64(1.0 / rate_hz);
     let periods = Periods {
         full: period(board.monitor.rate_hz),
@@ -195,7 +199,13 @@ fn recorder(args: &MonitorArgs, board: &Board, model: &Model) -> anyhow::Result<
     let Some(folder) = asked.or(on_board.map(|evidence| &evidence.folder)) else {
         return Ok(None);
     };
-    let quota = on_board.map_or_else(Quota::default, |evidence| evidence.quota);
+    let quota = on_board.map_or_else(
+        || Quota {
+            keep: Some(board::KEEP),
+            ..Quota::default()
+        },
+        |evidence| evidence.quota,
+    );
     let recorder = Recorder::start(folder, quota, &model.spec.taps)
         .with_context(|| format!("cannot keep evidence in {}", folder.display()))?;
     Ok(Some(recorder))

@@ -90,6 +90,26 @@ mod tests {
     }
 
     #[test]
+    fn distance_of_sets_whose_channels_go_together_in_other_ways() {
+        // Covariances that do not commute: [[4, 2], [2, 2]] and [[2, -4], [-4, 10]], each of four images.
+        let images = |rows: [[f64; 2]; 4]| -> Vec<Vec<f64>> {
+            let scale = f64::sqrt(0.75);
+            rows.map(|[x, y]| vec![1.0 + scale * x, scale * y]).to_vec()
+        };
+        let a = images([[2.0, 0.0], [-2.0, 0.0], [2.0, 2.0], [-2.0, -2.0]]);
+        let b = images([[2.0, -4.0], [-2.0, 4.0], [0.0, 2.0], [0.0, -2.0]]);
+        let of = |images: &[Vec<f64>]| moments(images, 2).1;
+        let (cov_a, cov_b) = (of(&a), of(&b));
+        let wanted_a = DMatrix::from_row_slice(2, 2, &[4.0, 2.0, 2.0, 2.0]);
+        let wanted_b = DMatrix::from_row_slice(2, 2, &[2.0, -4.0, -4.0, 10.0]);
+        assert!((cov_a - wanted_a).norm() < 1e-12 && (cov_b - wanted_b).norm() < 1e-12);
+        // Of two by two: tr M^(1/2) = sqrt(tr M + 2 sqrt(det M)); tr S1 S2 = 8 - 8 - 8 + 20, both determinants 4.
+        let shared = f64::sqrt(12.0 + 2.0 * 4.0);
+        let wanted = 6.0 + 12.0 - 2.0 * shared;
+        assert!((distance(&a, &b).unwrap() - wanted).abs() < 1e-12);
+    }
+
+    #[test]
     fn too_few_images_are_undefined() {
         let one = &set(0.0, 1.0)[..3];
         assert_eq!(
