@@ -176,7 +176,7 @@ pub struct Alarm {
     settled: bool,
     last_frame: Option<Duration>,
     last_judged: Option<Duration>,
-    /// The frame before could be judged, so the time since then counts.
+    /// There was a verdict until now, but for moments, so the time since then counts.
     sighted: bool,
     suspect_since: Option<Duration>,
     /// What the last evidence was.
@@ -306,12 +306,13 @@ impl Alarm {
     }
 
     fn not_judged(&mut self, now: Duration, reason: Reason) {
-        // Silence between slow frames is no blindness: they still add up.
-        self.sighted &= reason == Reason::Stale;
         let since = *self.last_judged.get_or_insert(now);
         if now.saturating_sub(since) < self.patience {
             return;
         }
+        // Silence between slow frames is no blindness: they still add up.
+        self.sighted &= reason == Reason::Stale;
+        self.suspect_since = None;
         self.state = if reason.is_sensor_fault() {
             AlarmState::SensorFault
         } else {
@@ -713,6 +714,58 @@ mod tests {
             };
             assert_eq!(alarm.state(), wanted, "frame {tenth}");
         }
+    }
+
+    #[test]
+    fn frames_that_cannot_be_judged_in_between_hold_no_gap_up() {
+        // Two of three frames are lost, as on a bad cable.
+        let mut alarm = Alarm::default();
+        let mut gap_at = None;
+        for tenth in 0..60_u32 {
+            let judgement = match tenth % 3 {
+                0 => Judgement::Score {
+                    score: if tenth < 30 { 0.0 } else { 5.0 },
+                    settled: true,
+                },
+                _ => Judgement::Cannot(Reason::Corrupt),
+            };
+            alarm.step(Duration::from_millis(100) * tenth, judgement);
+            assert_ne!(alarm.state(), AlarmState::SensorFault, "frame {tenth}");
+            if alarm.state() == AlarmState::Gap {
+                gap_at.get_or_insert(tenth);
+            }
+        }
+        // A second of evidence, from the first frame that shows any: 30, and the one before that counts for it is 27.
+        assert_eq!(gap_at, Some(39));
+        assert_eq!(alarm.state(), AlarmState::Gap);
+    }
+
+    #[test]
+    fn evidence_after_a_blind_moment_is_suspect_again_and_never_ok() {
+        let mut alarm = Alarm::default();
+        let mut states = vec![];
+        for tenth in 0..80_u32 {
+            let judgement = match tenth {
+                15..60 => Judgement::Cannot(Reason::Black),
+                _ => Judgement::Score {
+                    score: if tenth < 10 { 0.0 } else { 5.0 },
+                    settled: true,
+                },
+            };
+            alarm.step(Duration::from_millis(100) * tenth, judgement);
+            if tenth >= 10 && states.last() != Some(&alarm.state()) {
+                states.push(alarm.state());
+            }
+        }
+        assert_eq!(
+            states,
+            [
+                AlarmState::Suspect,
+                AlarmState::SensorFault,
+                AlarmState::Suspect,
+                AlarmState::Gap
+            ]
+        );
     }
 
     #[test]

@@ -16,7 +16,8 @@ use crate::undefined::Undefined;
 /// A picture that stays the same for this long is frozen: the noise of a sensor changes every frame. The alarm waits as
 /// long again. Our own choice.
 const FROZEN: Duration = Duration::from_millis(500);
-/// After a pause of more than this between two frames it counts anew how long a picture has been the same.
+/// After a pause of more than this between two frames, and of two of the slowest frames, it counts anew how long a picture
+/// has been the same.
 const HOLE: Duration = Duration::from_secs(1);
 /// Blocks across and down, for the share of the lens that is covered.
 const BLOCKS: (usize, usize) = (16, 8);
@@ -39,8 +40,9 @@ const ROWS_MAX: usize = 257;
 
 /// Remembers the last picture, and since when which block has looked the same. Of a camera's own format it looks at
 /// brightness alone.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub struct CameraHealth {
+    hole: Duration,
     last: Option<Pixels>,
     /// When the last picture was first seen.
     since: Duration,
@@ -61,7 +63,26 @@ struct Block {
     began: Option<([u8; CELLS * CELLS], Duration)>,
 }
 
+impl Default for CameraHealth {
+    fn default() -> Self {
+        Self::with_frames_every(Duration::ZERO)
+    }
+}
+
 impl CameraHealth {
+    /// Of a camera whose frames may come as slowly as one every `period`.
+    pub fn with_frames_every(period: Duration) -> Self {
+        Self {
+            hole: HOLE.max(2 * period),
+            last: None,
+            since: Duration::ZERO,
+            columns: Vec::new(),
+            cells: Vec::new(),
+            blocks: Vec::new(),
+            before: None,
+        }
+    }
+
     /// Whether a frame may be judged. A frame without picture is not looked at.
     ///
     /// # Errors
@@ -72,7 +93,7 @@ impl CameraHealth {
             return Ok(());
         };
         // A camera that gave nothing for long may begin again with what it showed last.
-        if silence > HOLE {
+        if silence > self.hole {
             self.last = None;
             self.blocks.clear();
         }
@@ -275,6 +296,24 @@ mod tests {
         assert_eq!(health.check(&still(7_600)), Ok(()));
         let frozen = Undefined::Frozen(Duration::from_millis(500));
         assert_eq!(health.check(&still(7_700)), Err(frozen));
+    }
+
+    #[test]
+    fn a_frozen_picture_is_found_at_slow_rates_too() {
+        for period in [500, 1_000, 3_000] {
+            let slow = Duration::from_millis(period);
+            let mut health = CameraHealth::with_frames_every(slow);
+            for n in 0..5 {
+                // A little slower than said, as cameras are.
+                let mut frame = frame(n * (period + 30), |x, _| 100 + u8::try_from(x).unwrap());
+                frame.sequence = n;
+                assert_eq!(
+                    health.check(&frame).is_err(),
+                    n > 0,
+                    "{period} ms, frame {n}"
+                );
+            }
+        }
     }
 
     #[test]

@@ -16,7 +16,7 @@ mod reading;
 
 use std::collections::{BTreeMap, VecDeque};
 use std::path::Path;
-use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant, SystemTime};
 
@@ -37,6 +37,10 @@ pub use reading::{Event, ReadError, picture, read};
 const STEP: Duration = Duration::from_millis(200);
 /// How long before and after the beginning frames are kept.
 const AROUND: Duration = Duration::from_secs(2);
+/// An event ends after this long, also when alarms begin again and again: it lies in memory until then.
+const LONGEST: Duration = Duration::from_secs(10);
+/// An event ends when no frame has come for this long.
+const NO_MORE: Duration = Duration::from_secs(10);
 /// Frames in memory before an alarm: those of [`AROUND`].
 const RING_MAX: usize = 10;
 /// How often it is looked whether an event has been kept long enough.
@@ -232,14 +236,23 @@ struct Held {
     files: Vec<(String, Vec<u8>)>,
 }
 
+/// An event that is being gathered.
+struct Open {
+    moments: Vec<Held>,
+    /// Which moment is the beginning of the alarm, and when that was.
+    edge: usize,
+    began: Duration,
+    until: Duration,
+}
+
 /// The other side of the queue.
 struct Writer {
     folder: EventFolder,
     taps: Vec<String>,
     /// The last moments, as their source gave them: nothing is compressed while nothing happens.
     ring: VecDeque<Message>,
-    /// The event that is being gathered, and until when.
-    open: Option<(Vec<Held>, usize, Duration)>,
+    /// The event that is being gathered.
+    open: Option<Open>,
     kept: Kept,
 }
 
@@ -256,7 +269,15 @@ impl Writer {
 
     fn run(mut self, messages: &Receiver<Message>) -> Kept {
         let mut expired = None;
-        for message in messages {
+        loop {
+            let message = match messages.recv_timeout(NO_MORE) {
+                Ok(message) => message,
+                Err(RecvTimeoutError::Timeout) => {
+                    self.close();
+                    continue;
+                }
+                Err(RecvTimeoutError::Disconnected) => break,
+            };
             if expired.is_none_or(|at: Instant| at.elapsed() >= EXPIRE_EVERY) {
                 expired = Some(Instant::now());
                 self.expire();
@@ -276,16 +297,16 @@ impl Writer {
 
     fn take(&mut self, message: Message) {
         let (edge, at) = (message.edge, message.at);
-        if self.open.as_ref().is_some_and(|(.., until)| at > *until) {
+        if self.open.as_ref().is_some_and(|open| at > open.until) {
             self.close();
         }
         match (&mut self.open, edge) {
             // From suspicion to gap: the same event, for longer.
-            (Some((moments, _, until)), true) => {
-                moments.extend(held(message, &self.taps));
-                *until = at + AROUND;
+            (Some(open), true) => {
+                open.moments.extend(held(message, &self.taps));
+                open.until = (at + AROUND).min(open.began + LONGEST);
             }
-            (Some((moments, ..)), false) => moments.extend(held(message, &self.taps)),
+            (Some(open), false) => open.moments.extend(held(message, &self.taps)),
             (None, true) => {
                 let before = self.ring.drain(..);
                 let mut moments: Vec<Held> = before
@@ -294,7 +315,12 @@ impl Writer {
                 let edge = moments.len();
                 moments.extend(held(message, &self.taps));
                 if edge < moments.len() {
-                    self.open = Some((moments, edge, at + AROUND));
+                    self.open = Some(Open {
+                        moments,
+                        edge,
+                        began: at,
+                        until: at + AROUND,
+                    });
                 }
             }
             (None, false) => {
@@ -307,7 +333,7 @@ impl Writer {
     }
 
     fn close(&mut self) {
-        let Some((moments, edge, _)) = self.open.take() else {
+        let Some(Open { moments, edge, .. }) = self.open.take() else {
             return;
         };
         let event = Event {

@@ -93,6 +93,7 @@ impl Monitor {
 
     /// Frames may come as slowly as one every `period`: see [`Alarm::with_frames_every`].
     pub fn with_frames_every(mut self, period: Duration) -> Self {
+        self.camera = CameraHealth::with_frames_every(period);
         self.alarm = Alarm::with_frames_every(period);
         self
     }

@@ -7,6 +7,8 @@
 
 use std::fs;
 use std::io;
+use std::sync::mpsc::{Receiver, channel};
+use std::thread;
 use std::time::Duration;
 
 use socketcan::nl::CanState;
@@ -43,7 +45,8 @@ pub struct SocketSink {
     socket: Option<CanSocket>,
     /// For frames of CAN FD, while there is a way for them.
     fd_socket: Option<CanFdSocket>,
-    ask_at: Duration,
+    /// How the controller stands by netlink.
+    answers: Receiver<Option<BusState>>,
     /// Drive time before which the socket is not opened again, and a bus that is off is not looked at again.
     reopen_at: Duration,
     state: BusState,
@@ -59,16 +62,16 @@ impl SocketSink {
         let name = format!("socketcan:{interface}");
         let opened = socket(interface, heard).and_then(|socket| {
             let fd_socket = fd.then(|| fd_socket(interface)).transpose()?;
-            Ok((socket, fd_socket))
+            Ok((socket, fd_socket, ask(interface)?))
         });
         match opened {
-            Ok((socket, fd_socket)) => Ok(Self {
+            Ok((socket, fd_socket, answers)) => Ok(Self {
                 name,
                 interface: interface.to_owned(),
                 heard: heard.to_vec(),
                 socket: Some(socket),
                 fd_socket,
-                ask_at: Duration::ZERO,
+                answers,
                 reopen_at: Duration::ZERO,
                 state: if carrier(interface) == Some(false) {
                     BusState::Off
@@ -140,20 +143,13 @@ impl SocketSink {
         taken
     }
 
-    /// Asks the kernel how the controller stands, now and then. A virtual bus has no controller.
-    fn ask_state(&mut self, at: Duration) {
-        if at < self.ask_at {
-            return;
-        }
-        self.ask_at = at + ASK;
-        let state = CanInterface::open(&self.interface).and_then(|interface| interface.state());
-        match state {
-            Ok(Some(CanState::ErrorActive)) => self.hear_state(BusState::Active),
-            Ok(Some(CanState::ErrorWarning)) => self.hear_state(BusState::Warning),
-            Ok(Some(CanState::ErrorPassive)) => self.hear_state(BusState::Passive),
-            Ok(Some(CanState::BusOff)) => self.hear_state(BusState::Off),
-            // Down or asleep, or the interface has gone: sending finds that out.
-            Ok(Some(CanState::Stopped | CanState::Sleeping) | None) | Err(_) => {}
+    fn hear_answers(&mut self) {
+        while let Ok(answer) = self.answers.try_recv() {
+            // An answer may be older than the error frame that told of bus-off.
+            let is_old = self.state == BusState::Off && carrier(&self.interface) == Some(false);
+            if let Some(state) = answer.filter(|_| !is_old) {
+                self.hear_state(state);
+            }
         }
     }
 
@@ -163,6 +159,32 @@ impl SocketSink {
             self.state = state;
         }
     }
+}
+
+/// Asks the kernel how the controller stands, now and then, for as long as somebody hears the answers; on a thread of its own,
+/// since the kernel lets who asks wait for whoever sets up any interface. A virtual bus has no controller.
+fn ask(interface: &str) -> io::Result<Receiver<Option<BusState>>> {
+    let (sender, answers) = channel();
+    let interface = interface.to_owned();
+    let asking = move || loop {
+        let state = CanInterface::open(&interface).and_then(|interface| interface.state());
+        let answer = match state {
+            Ok(Some(CanState::ErrorActive)) => Some(BusState::Active),
+            Ok(Some(CanState::ErrorWarning)) => Some(BusState::Warning),
+            Ok(Some(CanState::ErrorPassive)) => Some(BusState::Passive),
+            Ok(Some(CanState::BusOff)) => Some(BusState::Off),
+            // Down or asleep, or the interface has gone: sending finds that out.
+            Ok(Some(CanState::Stopped | CanState::Sleeping) | None) | Err(_) => None,
+        };
+        if sender.send(answer).is_err() {
+            return;
+        }
+        thread::sleep(ASK);
+    };
+    thread::Builder::new()
+        .name("can-state".to_owned())
+        .spawn(asking)?;
+    Ok(answers)
 }
 
 /// Whether the interface has a carrier: without one its controller is off the bus. `None` when it is down or gone.
@@ -232,7 +254,7 @@ fn fd_socket(interface: &str) -> io::Result<CanFdSocket> {
 
 impl WarningSink for SocketSink {
     fn send(&mut self, at: Duration, frame: &CanFrame) -> Result<(), SinkError> {
-        self.ask_state(at);
+        self.hear_answers();
         self.write(at, frame).map_err(|source| SinkError::Refused {
             sink: self.name.clone(),
             source,
@@ -252,6 +274,7 @@ impl WarningSink for SocketSink {
     }
 
     fn receive(&mut self) -> Option<CanFrame> {
+        self.hear_answers();
         loop {
             match self.socket.as_ref()?.read_frame() {
                 Ok(socketcan::CanFrame::Error(frame)) => {

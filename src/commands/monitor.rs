@@ -140,8 +140,9 @@ pub fn run(args: &MonitorArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
         let told = teller.tell_all(&told, shared, limit);
         // Also when telling failed, so that the judge ends.
         stop.store(true, Ordering::Relaxed);
-        let judged = judge.join();
+        // The bus hears the end before evidence is written to its own.
         let ended = teller.last_word(began);
+        let judged = judge.join();
         told.and(ended)?;
         let kept = judged
             .map_err(|_| anyhow::anyhow!("the judge of frames ended by an internal error"))??;
@@ -381,6 +382,18 @@ fn nothing_yet() -> Verdict {
     }
 }
 
+fn is_unjudged(verdict: &Verdict) -> bool {
+    matches!(
+        verdict.state,
+        AlarmState::Unavailable | AlarmState::SensorFault
+    )
+}
+
+/// Whether silence is news after this last word: not after a fault, but after what was said of a car that stood and drives.
+fn is_news(last: &Verdict, parked: bool) -> bool {
+    !is_unjudged(last) || (last.reason == Reason::Parked && !parked)
+}
+
 /// Tells bus, journal and people.
 struct Teller<'a> {
     bus: Bus,
@@ -425,14 +438,15 @@ impl Teller<'_> {
                 Err(RecvTimeoutError::Timeout) => {}
                 Err(RecvTimeoutError::Disconnected) => break,
             }
-            let unjudged = self.is_unjudged();
+            let unjudged = is_unjudged(&self.last);
             // No frame tells the bus while nobody looks.
             if shared.cleared.swap(false, Ordering::Relaxed) && unjudged && self.last.gap_stored {
                 let mut cleared = self.last.clone();
                 (cleared.at, cleared.sequence, cleared.gap_stored) = (now, None, false);
                 self.tell(now, &cleared, Duration::ZERO)?;
             }
-            if now.saturating_sub(self.last_told) > self.silent && !unjudged {
+            let silence = now.saturating_sub(self.last_told);
+            if silence > self.silent && is_news(&self.last, shared.parked.load(Ordering::Relaxed)) {
                 let silent = self.without_frame(now, Reason::Stale, Some(Undefined::Silence));
                 self.tell(now, &silent, Duration::ZERO)?;
             }
@@ -449,24 +463,20 @@ impl Teller<'_> {
             }
             let parked = self.parking.is_parked(now);
             shared.parked.store(parked, Ordering::Relaxed);
-            if parked && self.last.reason != Reason::Parked {
-                let verdict = self.without_frame(now, Reason::Parked, None);
-                self.tell(now, &verdict, Duration::ZERO)?;
+            if parked {
+                self.last_told = now;
+                if self.last.reason != Reason::Parked {
+                    let verdict = self.without_frame(now, Reason::Parked, None);
+                    self.tell(now, &verdict, Duration::ZERO)?;
+                }
             }
             self.bus.tell_health(now);
             self.bus.poll(now)?;
-            let judged_or_fault = self.last.score.is_some() || self.is_unjudged();
+            let judged_or_fault = self.last.score.is_some() || is_unjudged(&self.last);
             let rounds = shared.rounds.load(Ordering::Relaxed);
             self.service.served(now, judged_or_fault, rounds);
         }
         Ok(())
-    }
-
-    fn is_unjudged(&self) -> bool {
-        matches!(
-            self.last.state,
-            AlarmState::Unavailable | AlarmState::SensorFault
-        )
     }
 
     fn without_frame(&self, at: Duration, reason: Reason, why: Option<Undefined>) -> Verdict {
@@ -510,6 +520,7 @@ impl Teller<'_> {
     fn last_word(mut self, began: Instant) -> anyhow::Result<()> {
         self.live.finish();
         self.service.stopping();
+        self.bus.skip_missed(began.elapsed());
         let stopped = self.without_frame(began.elapsed(), Reason::Stopped, None);
         let mut said = self.tell(stopped.at, &stopped, Duration::ZERO);
         while said.is_ok() && began.elapsed() < stopped.at + LAST_WORD {
@@ -527,6 +538,25 @@ impl Teller<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn silence_is_news_but_after_a_fault_or_while_parked() {
+        let last = |state, reason| Verdict {
+            state,
+            reason,
+            ..nothing_yet()
+        };
+        let parked = last(AlarmState::Unavailable, Reason::Parked);
+        assert!(!is_news(&parked, true) && is_news(&parked, false));
+        for parked in [false, true] {
+            assert!(is_news(&last(AlarmState::Ok, Reason::None), parked));
+            assert!(is_news(&last(AlarmState::Gap, Reason::Abrupt), parked));
+            let fault = last(AlarmState::SensorFault, Reason::Black);
+            assert!(!is_news(&fault, parked));
+            let stale = last(AlarmState::Unavailable, Reason::Stale);
+            assert!(!is_news(&stale, parked));
+        }
+    }
 
     #[test]
     fn a_late_verdict_is_lagging_whatever_it_says() {

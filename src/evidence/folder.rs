@@ -1,6 +1,6 @@
 //! The folder of events on disk: each appears whole, and the quota holds.
 
-use std::fs::{self, File};
+use std::fs::{self, File, TryLockError};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
@@ -20,6 +20,8 @@ struct OnDisk {
 
 pub struct EventFolder {
     path: PathBuf,
+    /// The folder, locked as long as this is, so that no two write here.
+    _lock: File,
     quota: Quota,
     /// Oldest first.
     events: Vec<OnDisk>,
@@ -30,6 +32,13 @@ impl EventFolder {
     /// Opens or makes a folder; what an earlier run left unfinished goes.
     pub fn open(path: &Path, quota: Quota) -> io::Result<Self> {
         fs::create_dir_all(path)?;
+        let lock = File::open(path)?;
+        lock.try_lock().map_err(|error| match error {
+            TryLockError::WouldBlock => io::Error::other(
+                "another gapwatch keeps its evidence there; wanted a folder for each",
+            ),
+            TryLockError::Error(error) => error,
+        })?;
         let mut events = Vec::new();
         for entry in fs::read_dir(path)? {
             let entry = entry?;
@@ -53,6 +62,7 @@ impl EventFolder {
         fs::remove_dir(&probe)?;
         Ok(Self {
             path: path.to_owned(),
+            _lock: lock,
             quota,
             events,
             next,
@@ -75,7 +85,7 @@ impl EventFolder {
         }
         let mut removed = 0;
         while self.events.len() >= self.quota.events || self.bytes() + bytes > self.quota.bytes {
-            self.remove_oldest()?;
+            self.remove(0)?;
             removed += 1;
         }
         let unfinished = self.path.join(format!("{UNFINISHED}{:06}", self.next));
@@ -119,8 +129,9 @@ impl EventFolder {
             now.duration_since(event.written)
                 .is_ok_and(|age| age > keep)
         };
-        while self.events.first().is_some_and(old) {
-            self.remove_oldest()?;
+        // Any of them: by a clock that jumped, the oldest may be the newest.
+        while let Some(index) = self.events.iter().position(old) {
+            self.remove(index)?;
             removed += 1;
         }
         Ok(removed)
@@ -130,8 +141,8 @@ impl EventFolder {
         self.events.iter().map(|event| event.bytes).sum()
     }
 
-    fn remove_oldest(&mut self) -> io::Result<()> {
-        let number = self.events.remove(0).number;
+    fn remove(&mut self, index: usize) -> io::Result<()> {
+        let number = self.events.remove(index).number;
         let gone = self.path.join(format!("{UNFINISHED}{number:06}-gone"));
         match fs::rename(self.path.join(format!("{number:06}")), &gone) {
             Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(()),

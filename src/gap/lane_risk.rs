@@ -203,6 +203,39 @@ mod tests {
     }
 
     #[test]
+    fn a_forecast_that_cannot_be_is_refused() {
+        let whole = LaneRisk {
+            epsilon: 1.0,
+            mean: vec![1.0, 2.0],
+            spread: vec![1.0, 1.0],
+            weights: vec![0.5, 0.5],
+            bias: 0.1,
+        };
+        assert_eq!(whole.fault(), None);
+        let with = |change: &dyn Fn(&mut LaneRisk)| {
+            let mut risk = whole.clone();
+            change(&mut risk);
+            risk.fault()
+        };
+        for (fault, says) in [
+            (with(&|risk| risk.mean[0] = f64::NAN), "finite"),
+            (with(&|risk| risk.weights[1] = f64::INFINITY), "finite"),
+            (with(&|risk| risk.bias = f64::NAN), "finite"),
+            (with(&|risk| risk.spread.truncate(1)), "1 spreads"),
+            (with(&|risk| risk.weights.push(0.0)), "3 weights"),
+            (with(&|risk| risk.spread[1] = 0.0), "spread that is not"),
+            (with(&|risk| risk.epsilon = 0.0), "epsilon"),
+            (with(&|risk| risk.epsilon = f64::INFINITY), "epsilon"),
+        ] {
+            assert!(fault.as_ref().unwrap().contains(says), "{fault:?} {says}");
+        }
+        let none = with(&|risk| {
+            (risk.mean, risk.spread, risk.weights) = (vec![], vec![], vec![]);
+        });
+        assert!(none.is_some());
+    }
+
+    #[test]
     fn far_outside_is_not_without_end() {
         let risk = fit(&[([0.0, 0.0], 1.0)]);
         assert!(risk.loss(&[u64::from(u32::MAX), 0], 1).abs() < 60.0);

@@ -278,12 +278,17 @@ mod tests {
         energy_levels(&[0.0, 1.0, 1e6], 1.0, &mut levels);
         // 1024 ln 2 and 1024 ln 1000001.
         assert_eq!(levels, [0, 710, 14_147]);
+        // Twice as many energies count as none: 1024 ln 1.5 and 1024 ln 500001.
+        energy_levels(&[0.0, 1.0, 1e6], 2.0, &mut levels);
+        assert_eq!(levels, [0, 415, 13_437]);
     }
 
     #[test]
     fn mean_and_covariance_by_hand() {
         // (0, 0), (2, 0), (0, 4), (2, 4) nats: means 1 and 2, variances 1 and 4, no covariance.
         let corners = moments(&[[0, 0], [2048, 0], [0, 4096], [2048, 4096]]);
+        assert_eq!(corners.frames(), 4);
+        assert_eq!(corners.sums(), [4096, 8192]);
         assert_eq!(corners.mean(), [1.0, 2.0]);
         assert_eq!(corners.covariance().as_slice(), [1.0, 0.0, 0.0, 4.0]);
     }
@@ -303,6 +308,7 @@ mod tests {
             deviation * deviation / spread2 / (0.9 * variance / spread2 + 0.1)
         };
         let wanted = 0.5 * (part(3.0, 1.0) + part(-1.0, 4.0));
+        assert_eq!(norm.energies(), 2);
         assert!((norm.distance(&[4096, 1024], 1) - wanted).abs() < 1e-6 * wanted);
         // The mean of two frames counts, not their number.
         assert_eq!(
@@ -343,6 +349,49 @@ mod tests {
         let blended = EnergyNorm::fit(1.0, &lone, Some((&wide, 1))).unwrap();
         let near = [5300, 5300];
         assert!(blended.distance(&near, 1) < 0.1 * narrow.distance(&near, 1));
+    }
+
+    #[test]
+    fn after_twenty_drives_a_spread_is_half_its_own() {
+        let spreads_of = |x: u32, y: u32| moments(&[[0, 0], [x, 0], [0, y], [x, y]]);
+        // Variances of 1 and 4, and of 9 and 16: together 5 and 10.
+        let (own, wider) = (spreads_of(2048, 4096), spreads_of(6144, 8192));
+        let blended = EnergyNorm::fit(1.0, &own, Some((&wider, 20))).unwrap();
+        for (spread, variance) in blended.spreads().into_iter().zip([5.0, 10.0]) {
+            let floor = SPREAD_FLOOR * SPREAD_FLOOR;
+            let wanted = (1.0 - SHRINKAGE) * variance + SHRINKAGE * (variance + floor);
+            assert!((spread * spread - wanted).abs() < 1e-5, "{spread}");
+        }
+        // Where the frames lie is their own alone.
+        assert_eq!(blended.mean, own.mean());
+    }
+
+    #[test]
+    fn a_norm_that_cannot_be_is_refused() {
+        let whole = EnergyNorm {
+            epsilon: 1.0,
+            mean: vec![1.0, 2.0],
+            whitening: vec![1.0, 0.0, 1.0],
+        };
+        assert_eq!(whole.fault(), None);
+        let with = |change: &dyn Fn(&mut EnergyNorm)| {
+            let mut norm = whole.clone();
+            change(&mut norm);
+            norm.fault()
+        };
+        for epsilon in [0.0, -1.0, f64::NAN, f64::INFINITY, 1e-310] {
+            let fault = with(&|norm| norm.epsilon = epsilon);
+            assert!(fault.unwrap().contains("epsilon"));
+        }
+        for fault in [
+            with(&|norm| norm.mean[1] = f64::NAN),
+            with(&|norm| norm.whitening[0] = f32::INFINITY),
+            with(&|norm| norm.whitening.truncate(2)),
+            with(&|norm| norm.mean.push(0.0)),
+            with(&|norm| (norm.mean, norm.whitening) = (vec![], vec![])),
+        ] {
+            assert!(fault.unwrap().contains("whitening weights"));
+        }
     }
 
     proptest! {
