@@ -139,4 +139,41 @@ mod tests {
         assert_eq!(hear(0x5D1), Some(Heard::Foreign(0x5D1)));
         assert_eq!(hear(0x123), None);
     }
+
+    #[test]
+    fn a_car_stands_below_the_speed_that_says_so() {
+        let speed = crate::can::speed::SpeedSignal {
+            id: 0x1A0,
+            start_bit: 0,
+            length: 8,
+            big_endian: false,
+            factor: 0.5,
+            offset: -10.0,
+            parked_below_kmh: 1.0,
+            parked_after: std::time::Duration::from_secs(1),
+        };
+        let settings = CanSettings {
+            speed: Some(speed),
+            ..CanSettings::default()
+        };
+        let mut receiver = Receiver::new(&settings);
+        let mut hear = |id, byte| {
+            let data = [byte, 0, 0, 0, 0, 0, 0, 0];
+            receiver.hear(&CanFrame { id, data })
+        };
+        // Bytes of 20 are 0 km/h; of a car that rolls back they are less.
+        for (byte, standing) in [
+            (0, Some(false)),
+            (18, Some(false)),
+            (19, Some(true)),
+            (20, Some(true)),
+            (21, Some(true)),
+            (22, Some(false)),
+            (255, None),
+        ] {
+            assert_eq!(hear(0x1A0, byte), Some(Heard::Standing(standing)), "{byte}");
+        }
+        assert_eq!(hear(0x1A1, 20), None);
+        assert_eq!(hear(0x5D0, 20), Some(Heard::Foreign(0x5D0)));
+    }
 }

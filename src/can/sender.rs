@@ -548,6 +548,8 @@ mod tests {
         bus.refuses = false;
         for now in (3010..=3100).step_by(10) {
             sender.poll(ms(now), &mut bus).unwrap();
+            let ahead = bus.taken.iter().find(|(at, _)| *at > ms(now));
+            assert!(ahead.is_none(), "{ahead:?} at {now} ms");
         }
         // Kept: the status of 2800, 2900 and 3000, the health of 3000.
         let sent: Vec<(u128, u16)> = bus
