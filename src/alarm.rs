@@ -263,6 +263,10 @@ impl Alarm {
 
     fn judged(&mut self, now: Duration, found: Option<Reason>, settled: bool) {
         let evidence = found.is_some();
+        // After a blind moment suspicion begins anew, if there is a reason for it.
+        if evidence && !self.sighted {
+            self.suspect_since = None;
+        }
         self.evidence = found.unwrap_or(self.evidence);
         let since = match self.last_judged {
             Some(last) if self.sighted => now.saturating_sub(last).min(STEP_MAX),
@@ -312,7 +316,6 @@ impl Alarm {
         }
         // Silence between slow frames is no blindness: they still add up.
         self.sighted &= reason == Reason::Stale;
-        self.suspect_since = None;
         self.state = if reason.is_sensor_fault() {
             AlarmState::SensorFault
         } else {
