@@ -379,7 +379,7 @@ mod tests {
             .map(|n| {
                 let mixed = n.wrapping_mul(2_654_435_761) >> 7;
                 let part = n % stride * 5 / stride + n / stride * 7 / height;
-                (mixed % if part % 3 == 0 { 24 } else { 256 }) as u8
+                (mixed % if part.is_multiple_of(3) { 24 } else { 256 }) as u8
             })
             .collect();
         let layout = Layout {
