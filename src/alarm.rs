@@ -626,14 +626,13 @@ mod tests {
 
     #[test]
     fn what_is_wrong_with_a_frame_has_its_own_reason() {
-        let size = (10, 20);
         for (why, reason) in [
             (Undefined::Black, Reason::Black),
             (Undefined::Uniform, Reason::Uniform),
             (
                 Undefined::TooSmall {
-                    width: size.0,
-                    height: size.1,
+                    width: 10,
+                    height: 20,
                 },
                 Reason::TooSmall,
             ),
