@@ -299,6 +299,15 @@ mod tests {
     }
 
     #[test]
+    fn a_hole_begins_after_its_second_not_with_it() {
+        let mut health = CameraHealth::default();
+        let still = |millis| frame(millis, |x, _| 100 + u8::try_from(x).unwrap());
+        assert_eq!(health.check(&still(0)), Ok(()));
+        assert_eq!(health.check(&still(1_000)), Err(Undefined::Frozen(HOLE)));
+        assert_eq!(health.check(&still(2_001)), Ok(()));
+    }
+
+    #[test]
     fn a_frozen_picture_is_found_at_slow_rates_too() {
         for period in [500, 1_000, 3_000] {
             let slow = Duration::from_millis(period);
@@ -334,6 +343,9 @@ mod tests {
             health.check(&covered_to(200, 36)),
             Err(Undefined::Covered { percent: 57 })
         );
+        // All black is told by the picture's brightness.
+        let black = frame(300, |x, y| u8::try_from((x + y) % 4).unwrap());
+        assert_eq!(health.check(&black), Ok(()));
     }
 
     #[test]
@@ -476,6 +488,8 @@ mod tests {
         assert!(!check(60, 600));
         assert!(check(61, 700));
         assert!(!check(62, 650));
+        // A coarse clock may stand for a frame.
+        assert!(check(63, 650));
     }
 
     #[test]

@@ -351,6 +351,7 @@ mod tests {
         let mut detector = Detector::of(metric, two, 1.0);
         let seen = detector.observe(at(0), &[0, 0, 7, 7, 0, 0, 7, 7]).unwrap();
         assert_eq!((seen.component, seen.blocks[0].gap), (1, 0.0));
+        assert_eq!(detector.taken_len(), 8);
     }
 
     #[test]
@@ -453,6 +454,20 @@ mod tests {
         );
         assert_eq!(frames(&mut detector, 3_400), (2, 0.1));
         assert_eq!(frames(&mut detector, 100), (1, 0.0), "time that goes back");
+        assert_eq!(frames(&mut detector, 100), (2, 0.0), "time that stands");
+        assert_eq!(frames(&mut detector, 2_100), (1, 1.0), "just no hole");
+    }
+
+    #[test]
+    fn the_window_fills_over_its_own_span_and_drift_counts_once_it_is_full() {
+        let mut detector = detector(0.4);
+        for i in 0..60 {
+            let seen = detector.observe(at(100 * i), &[9, 0, 0, 0]).unwrap();
+            let full = i >= 4;
+            assert!((seen.fill - (i as f64 / 4.0).min(1.0)).abs() < 1e-12);
+            // The first frame of a drift has no time behind it.
+            assert_eq!(seen.drift > 0.0, full && i > 4, "frame {i}");
+        }
     }
 
     #[test]

@@ -3,36 +3,22 @@
 //! Each test takes what is whole (shipped files, what the program writes itself), damages it and reads it, for a few seconds.
 //!
 //! `GAPWATCH_FUZZ_SECONDS=600 GAPWATCH_FUZZ_SEED=7 cargo test --release --all-features --test fuzz -- --nocapture --test-threads=2`
-//! looks longer, and elsewhere. Input that makes a panic is kept in `target/tmp/fuzz`.
+//! looks longer, and elsewhere. Input that makes a panic is kept in `target/tmp/fuzz`. `tests/fuzz/run` looks at the same with
+//! libFuzzer, which sees what code was reached.
 #![allow(clippy::unwrap_used, clippy::print_stdout)]
 
 #[path = "fuzz/mutation.rs"]
 mod mutation;
+#[path = "fuzz/targets.rs"]
+mod targets;
 
-use std::borrow::Cow;
 use std::fs;
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::time::{Duration, Instant};
 
-use gapwatch::board::Board;
-use gapwatch::can::e2e::{E2eReceiver, E2eSender};
-use gapwatch::can::message::{ClearRequest, GapHealth, GapStatus};
-use gapwatch::can::receiver::Receiver;
-use gapwatch::can::speed::SpeedSignal;
-use gapwatch::can::{CanFrame, CanSettings};
-use gapwatch::encoder::Encoder;
-use gapwatch::frame::open;
-use gapwatch::frame::pixels::{Layout, PixelFormat};
-use gapwatch::journal;
-use gapwatch::model::{ModelOptions, ModelSpec};
-use gapwatch::preprocess::{CROP_NOTHING, Preprocessing};
-use gapwatch::reference::{ModelFingerprint, Reference};
-use gapwatch::shard::Shard;
-use gapwatch::survey::store::{Kept, SurveyStore};
-use gapwatch::survey::{Keep, Survey};
 use mutation::{Dice, mutate};
-use sha2::{Digest, Sha256};
+use targets::{TARGETS, Target};
 
 const ROOT: &str = env!("CARGO_MANIFEST_DIR");
 
@@ -41,25 +27,21 @@ fn setting(name: &str, default: u64) -> u64 {
     set.map_or(default, |text| text.parse().unwrap())
 }
 
-/// A folder in memory, where there is one: reading takes most of the time.
-fn scratch() -> tempfile::TempDir {
-    let memory = Path::new("/dev/shm");
-    let root = if memory.is_dir() {
-        memory.to_owned()
-    } else {
-        std::env::temp_dir()
-    };
-    tempfile::tempdir_in(root).unwrap()
-}
-
-/// Gives `read` what `make` makes until the time is over; says how often it answered yes.
-fn fuzz(name: &str, make: impl Fn(&mut Dice) -> Vec<u8>, mut read: impl FnMut(&[u8]) -> bool) {
+/// Damages and reads until the time is over; says how often it was taken all the same.
+fn fuzz(wanted: &str) {
+    let mut targets = TARGETS.iter().filter(|(name, _)| *name == wanted);
+    let (name, target) = targets.next().unwrap();
+    let Target { seeds, mut read } = target();
+    assert!(
+        seeds.iter().any(|seed| read(seed)),
+        "{name}: nothing is taken"
+    );
     let seconds = setting("GAPWATCH_FUZZ_SECONDS", 2);
     let mut dice = Dice(setting("GAPWATCH_FUZZ_SEED", 1));
     let until = Instant::now() + Duration::from_secs(seconds);
     let (mut executions, mut taken, mut longest) = (0_u64, 0_u64, Duration::ZERO);
     while Instant::now() < until {
-        let input = make(&mut dice);
+        let input = mutate(&mut dice, &seeds);
         let began = Instant::now();
         match catch_unwind(AssertUnwindSafe(|| read(&input))) {
             Ok(whole) => taken += u64::from(whole),
@@ -77,489 +59,71 @@ fn fuzz(name: &str, make: impl Fn(&mut Dice) -> Vec<u8>, mut read: impl FnMut(&[
         longest = longest.max(began.elapsed());
         executions += 1;
     }
-    println!("{name}: {executions} executions, {taken} read as whole, longest {longest:.1?}");
-    // Both outcomes were seen, so the input was neither hopeless nor unharmed.
-    assert!(executions > taken, "{name}: all of {executions} were whole");
-}
-
-/// As [`fuzz`], for what is read from a file.
-fn fuzz_file(name: &str, file: &str, seeds: &[Vec<u8>], mut read: impl FnMut(&Path) -> bool) {
-    let folder = scratch();
-    let path = folder.path().join(file);
-    fuzz(
-        name,
-        |dice| mutate(dice, seeds),
-        |input| {
-            fs::write(&path, input).unwrap();
-            read(&path)
-        },
-    );
-}
-
-fn shipped(folder: &str, extension: &str) -> Vec<Vec<u8>> {
-    let entries = fs::read_dir(Path::new(ROOT).join(folder)).unwrap();
-    let mut paths: Vec<PathBuf> = entries.map(|entry| entry.unwrap().path()).collect();
-    paths.retain(|path| path.extension().is_some_and(|e| e == extension));
-    paths.sort();
-    paths.iter().map(|path| fs::read(path).unwrap()).collect()
-}
-
-fn picture() -> image::RgbImage {
-    image::RgbImage::from_fn(48, 32, |x, y| {
-        let byte = |n: u32| n.to_le_bytes()[0];
-        image::Rgb([byte(5 * x), byte(7 * y), byte(x * y)])
-    })
-}
-
-fn encoded(format: image::ImageFormat) -> Vec<u8> {
-    let mut bytes = std::io::Cursor::new(Vec::new());
-    picture().write_to(&mut bytes, format).unwrap();
-    bytes.into_inner()
-}
-
-fn fuzz_image(file: &str, format: image::ImageFormat) {
-    fuzz_file(file, file, &[encoded(format)], |path| {
-        let mut source = open(path.to_str().unwrap()).unwrap();
-        source.next_frame().unwrap().unwrap().picture.is_ok()
-    });
+    println!("{name}: {executions} executions, {taken} taken, longest {longest:.1?}");
+    assert!(executions > taken, "{name}: all of {executions} were taken");
 }
 
 #[test]
 fn fuzz_png() {
-    fuzz_image("a.png", image::ImageFormat::Png);
+    fuzz("png");
 }
 
 #[test]
 fn fuzz_jpeg() {
-    fuzz_image("a.jpg", image::ImageFormat::Jpeg);
+    fuzz("jpeg");
 }
 
 #[test]
 fn fuzz_camera_buffers() {
-    let formats = [
-        PixelFormat::Mjpg,
-        PixelFormat::Yuyv,
-        PixelFormat::Nv12,
-        PixelFormat::Rgb3,
-        PixelFormat::Bgr3,
-    ];
-    let jpeg = encoded(image::ImageFormat::Jpeg);
-    let raw = picture().into_raw();
-    let mut round = 0_usize;
-    fuzz(
-        "camera buffers",
-        |dice| mutate(dice, &[jpeg.clone(), raw.clone()]),
-        |input| {
-            round += 1;
-            let odd = |choices: [u32; 4]| choices[round / 5 % 4];
-            let layout = Layout {
-                format: formats[round % 5],
-                width: odd([48, 48, 47, 1]),
-                height: odd([32, 31, 32, 1]),
-                stride: odd([0, 144, 7, u32::MAX]),
-            };
-            layout
-                .pixels(input)
-                .is_ok_and(|pixels| !pixels.picture().rgb.is_empty())
-        },
-    );
-}
-
-/// A message with a picture as ROS 2 writes them.
-#[derive(serde::Serialize)]
-struct RosImage {
-    stamp: (i32, u32),
-    frame_id: String,
-    height: u32,
-    width: u32,
-    encoding: String,
-    is_bigendian: u8,
-    step: u32,
-    data: serde_bytes::ByteBuf,
-}
-
-/// Recordings with the same picture four times, in each form of the file; without check sums, so that damage gets inside.
-fn recordings() -> Vec<Vec<u8>> {
-    let image = RosImage {
-        stamp: (7, 500_000_000),
-        frame_id: "camera".to_owned(),
-        height: 32,
-        width: 48,
-        encoding: "bgr8".to_owned(),
-        is_bigendian: 0,
-        step: 144,
-        data: picture().into_raw().into(),
-    };
-    let ros = cdr_encoding::to_vec::<_, byteorder::LittleEndian>(&image).unwrap();
-    let ros = [&[0, 1, 0, 0], ros.as_slice()].concat();
-    let data = base64::Engine::encode(
-        &base64::engine::general_purpose::STANDARD,
-        encoded(image::ImageFormat::Jpeg),
-    );
-    let json = format!(r#"{{"timestamp":{{"sec":7,"nsec":5}},"format":"jpeg","data":"{data}"}}"#);
-    let options = || {
-        let options = mcap::WriteOptions::new().calculate_chunk_crcs(false);
-        let options = options.calculate_data_section_crc(false);
-        options.calculate_summary_section_crc(false)
-    };
-    let forms = [
-        options().use_chunks(false),
-        options().compression(None),
-        options().compression(Some(mcap::Compression::Lz4)),
-        options().compression(Some(mcap::Compression::Zstd)),
-    ];
-    let written = forms.into_iter().map(|options| {
-        let mut writer = options.create(std::io::Cursor::new(Vec::new())).unwrap();
-        for (schema, encoding, topic, message) in [
-            ("sensor_msgs/msg/Image", "cdr", "/ros", ros.as_slice()),
-            (
-                "foxglove.CompressedImage",
-                "json",
-                "/camera",
-                json.as_bytes(),
-            ),
-        ] {
-            let schema = writer.add_schema(schema, "none", b"").unwrap();
-            let none = std::collections::BTreeMap::new();
-            let channel_id = writer.add_channel(schema, topic, encoding, &none).unwrap();
-            for sequence in 0..4 {
-                let log_time = 100_000_000 * u64::from(sequence);
-                let header = mcap::records::MessageHeader {
-                    channel_id,
-                    sequence,
-                    log_time,
-                    publish_time: log_time,
-                };
-                writer.write_to_known_channel(&header, message).unwrap();
-            }
-        }
-        writer.finish().unwrap();
-        writer.into_inner().into_inner()
-    });
-    written.collect()
+    fuzz("camera-buffers");
 }
 
 #[test]
 fn fuzz_recordings() {
-    let whole = |path: &Path, topic: &str| {
-        let Ok(mut source) = open(&format!("{}?topic={topic}", path.display())) else {
-            return false;
-        };
-        let mut pictures = 0;
-        while let Ok(Some(frame)) = source.next_frame() {
-            pictures += u32::from(frame.picture.is_ok());
-        }
-        pictures == 4
-    };
-    let seeds = recordings();
-    let folder = scratch();
-    let path = folder.path().join("a.mcap");
-    for seed in &seeds {
-        fs::write(&path, seed).unwrap();
-        assert!(whole(&path, "/ros") && whole(&path, "/camera"));
-    }
-    let mut round = 0_usize;
-    fuzz_file("recordings", "a.mcap", &seeds, |path| {
-        round += 1;
-        whole(path, ["/ros", "/camera"][round % 2])
-    });
+    fuzz("recordings");
 }
 
 #[test]
 fn fuzz_references() {
-    let path = Path::new(ROOT).join("calibration/sim.json");
-    let text = fs::read(path).unwrap();
-    fuzz_file("references", "reference.json", &[text], |path| {
-        Reference::read(Some(path)).is_ok()
-    });
+    fuzz("references");
 }
 
 #[test]
 fn fuzz_boards() {
-    let speed = b"[camera]\nsource = \"v4l2:/dev/video0\"\n[can]\nsink = \"socketcan:can0\"\nstatus = { id = 0x5D0, data_id = 1 }\n\
-        [can.speed]\nid = 0x1A0\nstart_bit = 8\nlength = 16\nfactor = 0.01\n[budget]\nframe_ms = 10\n";
-    let mut seeds = shipped("boards", "toml");
-    seeds.push(speed.to_vec());
-    fuzz_file("boards", "board.toml", &seeds, |path| {
-        Board::read(path).is_ok()
-    });
+    fuzz("boards");
 }
 
 #[test]
 fn fuzz_model_options() {
-    let folder = scratch();
-    let onnx = folder.path().join("m.onnx");
-    fs::write(&onnx, b"").unwrap();
-    let options = onnx.with_extension("toml");
-    let mut seeds = shipped("calibration", "toml");
-    seeds.push(b"taps = [\"a\"]\nlane = \"b\"\nsize = \"64x32\"\nmean = [0, 0, 0]\nstd = [1, 1, 1]\ncrop = [0.0, 0.3, 1.0, 0.7]\n".to_vec());
-    fuzz(
-        "model options",
-        |dice| mutate(dice, &seeds),
-        |input| {
-            fs::write(&options, input).unwrap();
-            ModelSpec::new(Some(&onnx), ModelOptions::default()).is_ok()
-        },
-    );
+    fuzz("model-options");
 }
 
 #[test]
 fn fuzz_source_names() {
-    let names = [
-        "scene:sim?seed=7&seconds=3&fps=10&size=32x16&condition=fog:3@20-40&without=dashes",
-        "scene:game?condition=night:5&condition=dirt:1@1-2",
-        "random:seed=1&frames=60",
-        "no/such/folder?fps=30",
-    ];
-    let seeds = names.map(|name| name.as_bytes().to_vec());
-    fuzz(
-        "source names",
-        |dice| mutate(dice, &seeds),
-        |input| {
-            let name = String::from_utf8_lossy(input).replace('\0', "0");
-            // Only what is rendered: other names may be devices.
-            let rendered = name.starts_with("scene:") || name.starts_with("random:");
-            let drives = gapwatch::frame::drives(&name).map(|drives| drives.len());
-            rendered && drives.is_ok() && open(&name).is_ok()
-        },
-    );
+    fuzz("source-names");
 }
 
 #[test]
 fn fuzz_journals() {
-    let line = |n: u32, state: &str, score: &str| {
-        format!(
-            "{{\"t_s\":{}.1,\"seq\":{n},\"state\":\"{state}\",\"reason\":\"\",\"score\":{score},\"gap\":{{\"e2\":0.5}},\
-             \"similarity\":{{\"e2\":null}},\"health\":\"ok\",\"latency_ms\":5.5}}\n",
-            n / 10
-        )
-    };
-    let seed = line(0, "Init", "null") + &line(1, "Ok", "0.5") + &line(2, "Gap", "7.25");
-    fuzz_file("journals", "drive.jsonl", &[seed.into_bytes()], |path| {
-        journal::read(path).is_ok()
-    });
+    fuzz("journals");
 }
 
 #[test]
 fn fuzz_what_comes_over_the_bus() {
-    let mut seeds = Vec::new();
-    for id in [0x5D0, 0x5D8, 0x5D1] {
-        let keep = |data: [u8; 8]| -> Result<(), ()> {
-            seeds.push(data.to_vec());
-            Ok(())
-        };
-        E2eSender::new(id)
-            .protect(ClearRequest.to_bytes(), keep)
-            .unwrap();
-    }
-    let speed = |dice: &mut Dice| SpeedSignal {
-        id: 0x1A0,
-        start_bit: u16::try_from(dice.below(70)).unwrap(),
-        length: u16::try_from(dice.below(70)).unwrap(),
-        big_endian: dice.below(2) == 0,
-        factor: [0.01, 1.0, 1e300, f64::NAN][dice.below(4)],
-        offset: [0.0, -40.0, f64::INFINITY][dice.below(3)],
-        parked_below_kmh: 1.0,
-        parked_after: Duration::from_secs(1),
-    };
-    let mut settings = CanSettings::default();
-    let mut receiver = Receiver::new(&settings);
-    let mut checker = E2eReceiver::new(0x5D0);
-    let mut other = Dice(3);
-    fuzz(
-        "frames on the bus",
-        |dice| mutate(dice, &seeds),
-        |input| {
-            let mut data = [0; 8];
-            data.iter_mut()
-                .zip(input)
-                .for_each(|(to, from)| *to = *from);
-            if other.below(50) == 0 {
-                settings.speed = Some(speed(&mut other)).filter(|speed| speed.check().is_ok());
-                receiver = Receiver::new(&settings);
-            }
-            let id = [0x5D0, 0x5D1, 0x5D8, 0x1A0, 0x7FF][other.below(5)];
-            let heard = receiver.hear(&CanFrame { id, data });
-            let (status, health) = (GapStatus::from_bytes(&data), GapHealth::from_bytes(&data));
-            checker.check(&data).is_ok() && heard.is_some() && (status.is_ok() || health.is_ok())
-        },
-    );
-}
-
-const DRIVE: &str = "scene:sim?seed=3&seconds=1&fps=3&size=64x32";
-
-fn built_in() -> (ModelSpec, Encoder) {
-    let spec = ModelSpec::new(None, ModelOptions::default()).unwrap();
-    let encoder = Encoder::load(&spec).unwrap();
-    (spec, encoder)
+    fuzz("bus");
 }
 
 #[test]
 fn fuzz_surveys() {
-    let (spec, encoder) = built_in();
-    let fingerprint = ModelFingerprint::new(&spec, &encoder);
-    let survey = Survey::of(DRIVE, &encoder, &spec.preprocessing, Keep::Means, &|| {}).unwrap();
-
-    let folder = scratch();
-    let store = SurveyStore::open(folder.path(), &fingerprint).unwrap();
-    store.keep(DRIVE, Kept::Means, "", &survey).unwrap();
-    let path = fs::read_dir(folder.path())
-        .unwrap()
-        .next()
-        .unwrap()
-        .unwrap()
-        .path();
-    let whole = fs::read(&path).unwrap();
-    // Magic, version, checksum, content: a checksum that fits lets the damage in.
-    let head = 16 + 4;
-    fuzz(
-        "surveys",
-        |dice| {
-            let mut bytes = mutate(dice, std::slice::from_ref(&whole));
-            if bytes.len() > head + 32 && dice.below(10) > 0 {
-                let sum = Sha256::digest(&bytes[head + 32..]);
-                bytes[head..head + 32].copy_from_slice(&sum);
-            }
-            bytes
-        },
-        |input| {
-            fs::write(&path, input).unwrap();
-            store.find::<Survey>(DRIVE, Kept::Means, None).is_ok()
-        },
-    );
+    fuzz("surveys");
 }
 
 #[test]
 fn fuzz_shards() {
-    let (spec, encoder) = built_in();
-    let fingerprint = ModelFingerprint::new(&spec, &encoder);
-    let reference = fs::read(Path::new(ROOT).join("calibration/sim.json")).unwrap();
-    let shard = serde_json::json!({
-        "format": "gapwatch-shard", "version": 1, "gapwatch": "0.1.0", "model": fingerprint, "metric": "mahalanobis",
-        "window_s": 1.0, "false_alarms_per_hour": 1.0,
-        "sources": [{"source": DRIVE, "role": "simulation", "frames": 3}],
-    });
-    let seeds = [shard.to_string().into_bytes(), reference];
-    fuzz_file("shards", "shard.json", &seeds, |path| {
-        Shard::read(path).is_ok()
-    });
-}
-
-// Protobuf, field by field.
-
-fn varint(mut value: u64, into: &mut Vec<u8>) {
-    while value >= 0x80 {
-        into.push(value.to_le_bytes()[0] | 0x80);
-        value >>= 7;
-    }
-    into.push(value.to_le_bytes()[0]);
-}
-
-fn number(field: u64, value: u64) -> Vec<u8> {
-    let mut bytes = Vec::new();
-    varint(field << 3, &mut bytes);
-    varint(value, &mut bytes);
-    bytes
-}
-
-fn block(field: u64, content: &[u8]) -> Vec<u8> {
-    let mut bytes = Vec::new();
-    varint(field << 3 | 2, &mut bytes);
-    varint(content.len() as u64, &mut bytes);
-    [bytes, content.to_vec()].concat()
-}
-
-/// A picture through a convolution of four channels, pooled, and a ReLU.
-fn tiny_onnx() -> Vec<u8> {
-    let node = |op: &str, inputs: &[&str], output: &str, attributes: &[(&str, &[u64])]| {
-        let inputs = inputs.iter().flat_map(|name| block(1, name.as_bytes()));
-        let attributes = attributes.iter().flat_map(|(name, values)| {
-            let values = values.iter().flat_map(|&value| number(8, value));
-            let parts = [block(1, name.as_bytes()), values.collect(), number(20, 7)];
-            block(5, &parts.concat())
-        });
-        let mut bytes: Vec<u8> = inputs.collect();
-        bytes.extend(block(2, output.as_bytes()));
-        bytes.extend(block(4, op.as_bytes()));
-        bytes.extend(attributes);
-        block(1, &bytes)
-    };
-    let mut weights: Vec<u8> = [4, 3, 3, 3]
-        .iter()
-        .flat_map(|&dim| number(1, dim))
-        .collect();
-    weights.extend(number(2, 1));
-    weights.extend(block(8, b"w"));
-    let values = (0..108_u8).flat_map(|n| (f32::from(n) / 108.0 - 0.5).to_le_bytes());
-    weights.extend(block(9, &values.collect::<Vec<u8>>()));
-    let dims = [1, 3, 16, 32]
-        .iter()
-        .flat_map(|&dim| block(1, &number(1, dim)));
-    let input = [number(1, 1), block(2, &dims.collect::<Vec<u8>>())].concat();
-    let graph = [
-        node("Conv", &["image", "w"], "c", &[("pads", &[1, 1, 1, 1])]),
-        node(
-            "MaxPool",
-            &["c"],
-            "p",
-            &[("kernel_shape", &[2, 2]), ("strides", &[2, 2])],
-        ),
-        node("Relu", &["p"], "tap", &[]),
-        block(2, b"tiny"),
-        block(5, &weights),
-        block(
-            11,
-            &[block(1, b"image"), block(2, &block(1, &input))].concat(),
-        ),
-        block(
-            12,
-            &[block(1, b"tap"), block(2, &block(1, &number(1, 1)))].concat(),
-        ),
-    ];
-    [
-        number(1, 8),
-        block(8, &number(2, 13)),
-        block(7, &graph.concat()),
-    ]
-    .concat()
+    fuzz("shards");
 }
 
 #[test]
 fn fuzz_onnx() {
-    // What tract panics on is an error, not news.
-    let loud = std::panic::take_hook();
-    std::panic::set_hook(Box::new(move |panic| {
-        if !gapwatch::encoder::in_tract() {
-            loud(panic);
-        }
-    }));
-    let mut spec = ModelSpec {
-        name: "damaged".to_owned(),
-        onnx: Cow::Owned(tiny_onnx()),
-        taps: vec!["tap".to_owned()],
-        lane: None,
-        preprocessing: Preprocessing {
-            width: 32,
-            height: 16,
-            mean: [0.5; 3],
-            std: [0.5; 3],
-            crop: CROP_NOTHING,
-        },
-    };
-    Encoder::load(&spec).unwrap();
-    let seeds = [tiny_onnx()];
-    fuzz(
-        "onnx",
-        |dice| mutate(dice, &seeds),
-        |input| {
-            spec.onnx = Cow::Owned(input.to_vec());
-            let Ok(encoder) = Encoder::load(&spec) else {
-                return false;
-            };
-            // What is loaded also runs, or says why not.
-            let mut session = encoder.session().unwrap();
-            let _ = session.run(&[0.5; 3 * 16 * 32]);
-            true
-        },
-    );
+    fuzz("onnx");
 }

@@ -26,6 +26,8 @@ mod tests {
         // p = (1, 0), q = (1/2, 1/2): (1/4 / (3/2) + 1/4 / (1/2)) / 2 = (1/6 + 1/2) / 2.
         assert!((distance(&[3, 0], &[2, 2]).unwrap() - 1.0 / 3.0).abs() < 1e-15);
         assert!((distance(&[3, 0], &[0, 1]).unwrap() - 1.0).abs() < 1e-15);
+        // A bin that neither fills says nothing.
+        assert!((distance(&[0, 3, 0], &[0, 2, 2]).unwrap() - 1.0 / 3.0).abs() < 1e-15);
         assert_eq!(distance(&[0, 0], &[0, 1]), Err(Undefined::EmptyHistogram));
     }
 }

@@ -119,5 +119,13 @@ mod tests {
                 wanted: 4
             })
         );
+        let three_channels = vec![vec![0.0; 3]; 5];
+        assert_eq!(
+            distance(&three_channels, &three_channels),
+            Err(Undefined::TooFewImages {
+                found: 5,
+                wanted: 6
+            })
+        );
     }
 }

@@ -203,6 +203,19 @@ mod tests {
     }
 
     #[test]
+    fn the_loss_is_the_bias_and_the_weighted_deviations() {
+        let risk = LaneRisk {
+            epsilon: 1.0,
+            mean: vec![10.0, 4.0],
+            spread: vec![2.0, 0.5],
+            weights: vec![0.25, -0.5],
+            bias: 0.125,
+        };
+        // 4 nats above are two spreads, half a nat below is one.
+        assert!((risk.loss(&[1024 * 14, 512 * 7], 1) - (0.125 + 0.5 + 0.5)).abs() < 1e-12);
+    }
+
+    #[test]
     fn a_forecast_that_cannot_be_is_refused() {
         let whole = LaneRisk {
             epsilon: 1.0,

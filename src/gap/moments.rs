@@ -323,6 +323,7 @@ mod tests {
         let frames = moments(&[[0, 100], [2048, 1500], [300, 4096], [1048, 2096]]);
         let norm = EnergyNorm::fit(1.0, &frames, None).unwrap();
         let covariance = frames.covariance();
+        assert_eq!(norm.spreads().len(), 2);
         for (i, spread) in norm.spreads().into_iter().enumerate() {
             // The correlation matrix is shrunk towards the identity, whose diagonal is 1; its own falls short of 1 by what the
             // floor adds to the spread.
@@ -392,6 +393,11 @@ mod tests {
         ] {
             assert!(fault.unwrap().contains("whitening weights"));
         }
+        // Three energies have a triangle of six.
+        let three = |weights| {
+            with(&|norm| (norm.mean, norm.whitening) = (vec![0.0; 3], vec![1.0; weights]))
+        };
+        assert!(three(6).is_none() && three(5).is_some());
     }
 
     proptest! {

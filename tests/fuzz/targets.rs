@@ -1,0 +1,529 @@
+//! What is fuzzed: whole inputs, and what reads them after they were damaged.
+
+use std::borrow::Cow;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use gapwatch::board::Board;
+use gapwatch::can::e2e::{E2eReceiver, E2eSender};
+use gapwatch::can::message::{ClearRequest, GapHealth, GapStatus};
+use gapwatch::can::receiver::{Heard, Receiver};
+use gapwatch::can::speed::SpeedSignal;
+use gapwatch::can::{CanFrame, CanSettings};
+use gapwatch::encoder::Encoder;
+use gapwatch::frame::open;
+use gapwatch::frame::pixels::{Layout, PixelFormat};
+use gapwatch::journal;
+use gapwatch::model::{ModelOptions, ModelSpec};
+use gapwatch::preprocess::{CROP_NOTHING, Preprocessing};
+use gapwatch::reference::{ModelFingerprint, Reference};
+use gapwatch::shard::Shard;
+use gapwatch::survey::store::{Kept, SurveyStore};
+use gapwatch::survey::{Keep, Survey};
+use sha2::{Digest, Sha256};
+
+use crate::ROOT;
+
+/// Something that reads bytes from outside.
+pub struct Target {
+    /// What it takes.
+    pub seeds: Vec<Vec<u8>>,
+    /// Whether bytes were taken. The same bytes get the same answer.
+    pub read: Box<dyn FnMut(&[u8]) -> bool>,
+}
+
+/// All of them by name.
+pub const TARGETS: [(&str, fn() -> Target); 13] = [
+    ("png", png),
+    ("jpeg", jpeg),
+    ("camera-buffers", camera_buffers),
+    ("recordings", recordings),
+    ("references", references),
+    ("boards", boards),
+    ("model-options", model_options),
+    ("source-names", source_names),
+    ("journals", journals),
+    ("bus", bus),
+    ("surveys", surveys),
+    ("shards", shards),
+    ("onnx", onnx),
+];
+
+/// A folder in memory, where there is one: reading takes most of the time.
+fn scratch() -> tempfile::TempDir {
+    let memory = Path::new("/dev/shm");
+    let root = if memory.is_dir() {
+        memory.to_owned()
+    } else {
+        std::env::temp_dir()
+    };
+    tempfile::tempdir_in(root).unwrap()
+}
+
+/// What is read from a file of this name.
+fn file(file: &str, seeds: Vec<Vec<u8>>, mut read: impl FnMut(&Path) -> bool + 'static) -> Target {
+    let folder = scratch();
+    let path = folder.path().join(file);
+    Target {
+        seeds,
+        read: Box::new(move |input| {
+            fs::write(&path, input).unwrap();
+            let _lives_as_long = &folder;
+            read(&path)
+        }),
+    }
+}
+
+fn shipped(folder: &str, extension: &str) -> Vec<Vec<u8>> {
+    let entries = fs::read_dir(Path::new(ROOT).join(folder)).unwrap();
+    let mut paths: Vec<PathBuf> = entries.map(|entry| entry.unwrap().path()).collect();
+    paths.retain(|path| path.extension().is_some_and(|e| e == extension));
+    paths.sort();
+    paths.iter().map(|path| fs::read(path).unwrap()).collect()
+}
+
+fn picture() -> image::RgbImage {
+    image::RgbImage::from_fn(48, 32, |x, y| {
+        let byte = |n: u32| n.to_le_bytes()[0];
+        image::Rgb([byte(5 * x), byte(7 * y), byte(x * y)])
+    })
+}
+
+fn encoded(format: image::ImageFormat) -> Vec<u8> {
+    let mut bytes = std::io::Cursor::new(Vec::new());
+    picture().write_to(&mut bytes, format).unwrap();
+    bytes.into_inner()
+}
+
+fn image(name: &str, format: image::ImageFormat) -> Target {
+    file(name, vec![encoded(format)], |path| {
+        let mut source = open(path.to_str().unwrap()).unwrap();
+        source.next_frame().unwrap().unwrap().picture.is_ok()
+    })
+}
+
+fn png() -> Target {
+    image("a.png", image::ImageFormat::Png)
+}
+
+fn jpeg() -> Target {
+    image("a.jpg", image::ImageFormat::Jpeg)
+}
+
+/// Two bytes choose the format and its sizes, the rest is what the camera gave.
+fn camera_buffers() -> Target {
+    let formats = [
+        PixelFormat::Mjpg,
+        PixelFormat::Yuyv,
+        PixelFormat::Nv12,
+        PixelFormat::Rgb3,
+        PixelFormat::Bgr3,
+    ];
+    let mut seeds = Vec::new();
+    for format in 0..5 {
+        for sizes in 0..64 {
+            seeds.push(
+                [
+                    &[format, sizes],
+                    encoded(image::ImageFormat::Jpeg).as_slice(),
+                ]
+                .concat(),
+            );
+            seeds.push([&[format, sizes], picture().into_raw().as_slice()].concat());
+        }
+    }
+    Target {
+        seeds,
+        read: Box::new(move |input| {
+            let [format, sizes, buffer @ ..] = input else {
+                return false;
+            };
+            let choice = |of: [u32; 4], shift: u8| of[usize::from(sizes >> shift & 3)];
+            let layout = Layout {
+                format: formats[usize::from(*format) % 5],
+                width: choice([48, 47, 2, 1], 0),
+                height: choice([32, 31, 2, 1], 2),
+                stride: choice([0, 144, 7, u32::MAX], 4),
+            };
+            layout
+                .pixels(buffer)
+                .is_ok_and(|pixels| !pixels.picture().rgb.is_empty())
+        }),
+    }
+}
+
+/// A message with a picture as ROS 2 writes them.
+#[derive(serde::Serialize)]
+struct RosImage {
+    stamp: (i32, u32),
+    frame_id: String,
+    height: u32,
+    width: u32,
+    encoding: String,
+    is_bigendian: u8,
+    step: u32,
+    data: serde_bytes::ByteBuf,
+}
+
+/// Recordings with the same picture four times, in each form of the file; without check sums, so that damage gets inside.
+fn whole_recordings() -> Vec<Vec<u8>> {
+    let image = RosImage {
+        stamp: (7, 500_000_000),
+        frame_id: "camera".to_owned(),
+        height: 32,
+        width: 48,
+        encoding: "bgr8".to_owned(),
+        is_bigendian: 0,
+        step: 144,
+        data: picture().into_raw().into(),
+    };
+    let ros = cdr_encoding::to_vec::<_, byteorder::LittleEndian>(&image).unwrap();
+    let ros = [&[0, 1, 0, 0], ros.as_slice()].concat();
+    let data = base64::Engine::encode(
+        &base64::engine::general_purpose::STANDARD,
+        encoded(image::ImageFormat::Jpeg),
+    );
+    let json = format!(r#"{{"timestamp":{{"sec":7,"nsec":5}},"format":"jpeg","data":"{data}"}}"#);
+    let options = || {
+        let options = mcap::WriteOptions::new().calculate_chunk_crcs(false);
+        let options = options.calculate_data_section_crc(false);
+        options.calculate_summary_section_crc(false)
+    };
+    let forms = [
+        options().use_chunks(false),
+        options().compression(None),
+        options().compression(Some(mcap::Compression::Lz4)),
+        options().compression(Some(mcap::Compression::Zstd)),
+    ];
+    let written = forms.into_iter().map(|options| {
+        let mut writer = options.create(std::io::Cursor::new(Vec::new())).unwrap();
+        for (schema, encoding, topic, message) in [
+            ("sensor_msgs/msg/Image", "cdr", "/ros", ros.as_slice()),
+            (
+                "foxglove.CompressedImage",
+                "json",
+                "/camera",
+                json.as_bytes(),
+            ),
+        ] {
+            let schema = writer.add_schema(schema, "none", b"").unwrap();
+            let none = std::collections::BTreeMap::new();
+            let channel_id = writer.add_channel(schema, topic, encoding, &none).unwrap();
+            for sequence in 0..4 {
+                let log_time = 100_000_000 * u64::from(sequence);
+                let header = mcap::records::MessageHeader {
+                    channel_id,
+                    sequence,
+                    log_time,
+                    publish_time: log_time,
+                };
+                writer.write_to_known_channel(&header, message).unwrap();
+            }
+        }
+        writer.finish().unwrap();
+        writer.into_inner().into_inner()
+    });
+    written.collect()
+}
+
+fn recordings() -> Target {
+    let pictures = |path: &Path, topic: &str| {
+        let Ok(mut source) = open(&format!("{}?topic={topic}", path.display())) else {
+            return 0;
+        };
+        let mut pictures = 0;
+        while let Ok(Some(frame)) = source.next_frame() {
+            pictures += u32::from(frame.picture.is_ok());
+        }
+        pictures
+    };
+    file("a.mcap", whole_recordings(), move |path| {
+        let both = [pictures(path, "/ros"), pictures(path, "/camera")];
+        both == [4, 4]
+    })
+}
+
+fn references() -> Target {
+    let path = Path::new(ROOT).join("calibration/sim.json");
+    let seeds = vec![fs::read(path).unwrap()];
+    file("reference.json", seeds, |path| {
+        Reference::read(Some(path)).is_ok()
+    })
+}
+
+fn boards() -> Target {
+    let speed = b"[camera]\nsource = \"v4l2:/dev/video0\"\n[can]\nsink = \"socketcan:can0\"\nstatus = { id = 0x5D0, data_id = 1 }\n\
+        [can.speed]\nid = 0x1A0\nstart_bit = 8\nlength = 16\nfactor = 0.01\n[budget]\nframe_ms = 10\n";
+    let mut seeds = shipped("boards", "toml");
+    seeds.push(speed.to_vec());
+    file("board.toml", seeds, |path| Board::read(path).is_ok())
+}
+
+fn model_options() -> Target {
+    let mut seeds = shipped("calibration", "toml");
+    seeds.push(b"taps = [\"a\"]\nlane = \"b\"\nsize = \"64x32\"\nmean = [0, 0, 0]\nstd = [1, 1, 1]\ncrop = [0.0, 0.3, 1.0, 0.7]\n".to_vec());
+    file("m.toml", seeds, |path| {
+        let onnx = path.with_extension("onnx");
+        if !onnx.exists() {
+            fs::write(&onnx, b"").unwrap();
+        }
+        ModelSpec::new(Some(&onnx), ModelOptions::default()).is_ok()
+    })
+}
+
+fn source_names() -> Target {
+    let names = [
+        "scene:sim?seed=7&seconds=3&fps=10&size=32x16&condition=fog:3@20-40&without=dashes",
+        "scene:game?condition=night:5&condition=dirt:1@1-2",
+        "random:seed=1&frames=60",
+    ];
+    Target {
+        seeds: names.map(|name| name.as_bytes().to_vec()).to_vec(),
+        read: Box::new(|input| {
+            let name = String::from_utf8_lossy(input).replace('\0', "0");
+            // Only what is rendered: other names may be devices.
+            let rendered = name.starts_with("scene:") || name.starts_with("random:");
+            let drives = gapwatch::frame::drives(&name).map(|drives| drives.len());
+            rendered && drives.is_ok() && open(&name).is_ok()
+        }),
+    }
+}
+
+fn journals() -> Target {
+    let line = |n: u32, state: &str, score: &str| {
+        format!(
+            "{{\"t_s\":{}.1,\"seq\":{n},\"state\":\"{state}\",\"reason\":\"\",\"score\":{score},\"gap\":{{\"e2\":0.5}},\
+             \"similarity\":{{\"e2\":null}},\"health\":\"ok\",\"latency_ms\":5.5}}\n",
+            n / 10
+        )
+    };
+    let seed = line(0, "Init", "null") + &line(1, "Ok", "0.5") + &line(2, "Gap", "7.25");
+    file("drive.jsonl", vec![seed.into_bytes()], |path| {
+        journal::read(path).is_ok()
+    })
+}
+
+/// Four bytes say where the speed lies, then frames of nine bytes: which identifier, and the data.
+fn bus() -> Target {
+    let mut requests = vec![8, 16, 0, 0];
+    let mut statuses = requests.clone();
+    for _ in 0..3 {
+        for (which, id, frames) in [(0, 0x5D0, &mut statuses), (2, 0x5D8, &mut requests)] {
+            E2eSender::new(id)
+                .protect(ClearRequest.to_bytes(), |data: [u8; 8]| {
+                    frames.push(which);
+                    frames.extend(data);
+                    Ok::<(), ()>(())
+                })
+                .unwrap();
+        }
+    }
+    let speeds = [&[7, 12, 0xFF, 0][..], &[3; 27]].concat();
+    Target {
+        seeds: vec![requests, statuses, speeds],
+        read: Box::new(|input| {
+            let [start_bit, length, order, scale, frames @ ..] = input else {
+                return false;
+            };
+            let speed = SpeedSignal {
+                id: 0x1A0,
+                start_bit: u16::from(*start_bit),
+                length: u16::from(*length),
+                big_endian: order & 1 == 1,
+                factor: [0.01, 1.0, 1e300, f64::NAN][usize::from(scale & 3)],
+                offset: [0.0, -40.0, f64::INFINITY, 1e-320][usize::from(scale >> 2 & 3)],
+                parked_below_kmh: 1.0,
+                parked_after: Duration::from_secs(1),
+            };
+            let settings = CanSettings {
+                speed: Some(speed).filter(|speed| speed.check().is_ok()),
+                ..CanSettings::default()
+            };
+            let mut receiver = Receiver::new(&settings);
+            let mut checker = E2eReceiver::new(0x5D0);
+            let mut all = settings.speed.is_some();
+            for frame in frames.chunks_exact(9) {
+                let mut data = [0; 8];
+                data.copy_from_slice(&frame[1..]);
+                let id = [0x5D0, 0x5D1, 0x5D8, 0x1A0, 0x7FF][usize::from(frame[0]) % 5];
+                let heard = receiver.hear(&CanFrame { id, data });
+                let _ = (GapStatus::from_bytes(&data), GapHealth::from_bytes(&data));
+                all &= match heard {
+                    Some(Heard::Foreign(0x5D0)) => checker.check(&data).is_ok(),
+                    Some(Heard::Standing(_) | Heard::Clear) => true,
+                    _ => false,
+                };
+            }
+            all
+        }),
+    }
+}
+
+const DRIVE: &str = "scene:sim?seed=3&seconds=1&fps=3&size=64x32";
+
+fn built_in() -> (ModelSpec, Encoder) {
+    let spec = ModelSpec::new(None, ModelOptions::default()).unwrap();
+    let encoder = Encoder::load(&spec).unwrap();
+    (spec, encoder)
+}
+
+fn surveys() -> Target {
+    let (spec, encoder) = built_in();
+    let fingerprint = ModelFingerprint::new(&spec, &encoder);
+    let survey = Survey::of(DRIVE, &encoder, &spec.preprocessing, Keep::Means, &|| {}).unwrap();
+
+    let folder = scratch();
+    let store = SurveyStore::open(folder.path(), &fingerprint).unwrap();
+    store.keep(DRIVE, Kept::Means, "", &survey).unwrap();
+    let path = fs::read_dir(folder.path())
+        .unwrap()
+        .next()
+        .unwrap()
+        .unwrap()
+        .path();
+    let whole = fs::read(&path).unwrap();
+    // Magic, version, checksum, content: of damaged content with the old checksum, a new one lets the damage in.
+    let sum = 16 + 4..16 + 4 + 32;
+    let old = whole[sum.clone()].to_vec();
+    Target {
+        seeds: vec![whole],
+        read: Box::new(move |input| {
+            let mut bytes = input.to_vec();
+            if bytes.get(sum.clone()).is_some_and(|found| found == old) {
+                let new = Sha256::digest(&bytes[sum.end..]);
+                bytes[sum.clone()].copy_from_slice(&new);
+            }
+            fs::write(&path, bytes).unwrap();
+            let _lives_as_long = &folder;
+            store.find::<Survey>(DRIVE, Kept::Means, None).is_ok()
+        }),
+    }
+}
+
+fn shards() -> Target {
+    let (spec, encoder) = built_in();
+    let fingerprint = ModelFingerprint::new(&spec, &encoder);
+    let reference = fs::read(Path::new(ROOT).join("calibration/sim.json")).unwrap();
+    let shard = serde_json::json!({
+        "format": "gapwatch-shard", "version": 1, "gapwatch": "0.1.0", "model": fingerprint, "metric": "mahalanobis",
+        "window_s": 1.0, "false_alarms_per_hour": 1.0,
+        "sources": [{"source": DRIVE, "role": "simulation", "frames": 3}],
+    });
+    let seeds = vec![shard.to_string().into_bytes(), reference];
+    file("shard.json", seeds, |path| Shard::read(path).is_ok())
+}
+
+// Protobuf, field by field.
+
+fn varint(mut value: u64, into: &mut Vec<u8>) {
+    while value >= 0x80 {
+        into.push(value.to_le_bytes()[0] | 0x80);
+        value >>= 7;
+    }
+    into.push(value.to_le_bytes()[0]);
+}
+
+fn number(field: u64, value: u64) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    varint(field << 3, &mut bytes);
+    varint(value, &mut bytes);
+    bytes
+}
+
+fn block(field: u64, content: &[u8]) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    varint(field << 3 | 2, &mut bytes);
+    varint(content.len() as u64, &mut bytes);
+    [bytes, content.to_vec()].concat()
+}
+
+/// A picture through a convolution of four channels, pooled, and a ReLU.
+fn tiny_onnx() -> Vec<u8> {
+    let node = |op: &str, inputs: &[&str], output: &str, attributes: &[(&str, &[u64])]| {
+        let inputs = inputs.iter().flat_map(|name| block(1, name.as_bytes()));
+        let attributes = attributes.iter().flat_map(|(name, values)| {
+            let values = values.iter().flat_map(|&value| number(8, value));
+            let parts = [block(1, name.as_bytes()), values.collect(), number(20, 7)];
+            block(5, &parts.concat())
+        });
+        let mut bytes: Vec<u8> = inputs.collect();
+        bytes.extend(block(2, output.as_bytes()));
+        bytes.extend(block(4, op.as_bytes()));
+        bytes.extend(attributes);
+        block(1, &bytes)
+    };
+    let mut weights: Vec<u8> = [4, 3, 3, 3]
+        .iter()
+        .flat_map(|&dim| number(1, dim))
+        .collect();
+    weights.extend(number(2, 1));
+    weights.extend(block(8, b"w"));
+    let values = (0..108_u8).flat_map(|n| (f32::from(n) / 108.0 - 0.5).to_le_bytes());
+    weights.extend(block(9, &values.collect::<Vec<u8>>()));
+    let dims = [1, 3, 16, 32]
+        .iter()
+        .flat_map(|&dim| block(1, &number(1, dim)));
+    let input = [number(1, 1), block(2, &dims.collect::<Vec<u8>>())].concat();
+    let graph = [
+        node("Conv", &["image", "w"], "c", &[("pads", &[1, 1, 1, 1])]),
+        node(
+            "MaxPool",
+            &["c"],
+            "p",
+            &[("kernel_shape", &[2, 2]), ("strides", &[2, 2])],
+        ),
+        node("Relu", &["p"], "tap", &[]),
+        block(2, b"tiny"),
+        block(5, &weights),
+        block(
+            11,
+            &[block(1, b"image"), block(2, &block(1, &input))].concat(),
+        ),
+        block(
+            12,
+            &[block(1, b"tap"), block(2, &block(1, &number(1, 1)))].concat(),
+        ),
+    ];
+    [
+        number(1, 8),
+        block(8, &number(2, 13)),
+        block(7, &graph.concat()),
+    ]
+    .concat()
+}
+
+fn onnx() -> Target {
+    // What tract panics on is an error, not news.
+    let loud = std::panic::take_hook();
+    std::panic::set_hook(Box::new(move |panic| {
+        if !gapwatch::encoder::in_tract() {
+            loud(panic);
+        }
+    }));
+    Target {
+        seeds: vec![tiny_onnx()],
+        read: Box::new(|input| {
+            let spec = ModelSpec {
+                name: "damaged".to_owned(),
+                onnx: Cow::Owned(input.to_vec()),
+                taps: vec!["tap".to_owned()],
+                lane: None,
+                preprocessing: Preprocessing {
+                    width: 32,
+                    height: 16,
+                    mean: [0.5; 3],
+                    std: [0.5; 3],
+                    crop: CROP_NOTHING,
+                },
+            };
+            let Ok(encoder) = Encoder::load(&spec) else {
+                return false;
+            };
+            // What is loaded also runs, or says why not.
+            let mut session = encoder.session().unwrap();
+            let _ = session.run(&[0.5; 3 * 16 * 32]);
+            true
+        }),
+    }
+}
