@@ -243,6 +243,7 @@ mod tests {
                 let (Ok(ab), Ok(ba)) = (metric.compare(&a, &b), metric.compare(&b, &a)) else { continue };
                 prop_assert!((ab.value - ba.value).abs() < 1e-12);
                 prop_assert!((-1.0..=1.0).contains(&ab.value));
+                prop_assert!((ab.similarity + ab.gap - 1.0).abs() < 1e-12);
                 prop_assert!((metric.compare(&more, &b).unwrap().value - ab.value).abs() < 1e-9);
             }
         }
@@ -276,7 +277,7 @@ mod tests {
     #[test]
     fn names_are_read_back() {
         for metric in Metric::all() {
-            assert_eq!(metric.to_string().parse(), Ok(metric));
+            assert_eq!(String::from(metric).parse(), Ok(metric));
         }
         assert!("js".parse::<Metric>().unwrap_err().contains("attention-js"));
     }
