@@ -39,6 +39,8 @@ const MEMORY_MIB: f64 = 192.0;
 const AMOUNT_MAX: f64 = 100_000.0;
 /// Longest time that a board may ask for: of listening, and of standing before the car is parked.
 const SECONDS_MAX: f64 = 60.0;
+/// Longest time of listening, seconds: half of what the service has to start in.
+const LISTEN_MAX: f64 = 30.0;
 
 /// A board file that cannot be followed.
 #[derive(Debug, thiserror::Error)]
@@ -158,7 +160,7 @@ struct CameraTable {
 #[serde(deny_unknown_fields)]
 struct CanTable {
     sink: Word,
-    listen_s: Option<Seconds>,
+    listen_s: Option<Listen>,
     status: Option<Ids>,
     health: Option<Ids>,
     detail: Option<Ids>,
@@ -311,6 +313,23 @@ impl TryFrom<f64> for Seconds {
 }
 
 #[derive(Clone, Copy, Deserialize)]
+#[serde(try_from = "f64")]
+struct Listen(Seconds);
+
+impl TryFrom<f64> for Listen {
+    type Error = String;
+
+    fn try_from(seconds: f64) -> Result<Self, String> {
+        if seconds > LISTEN_MAX {
+            return Err(format!(
+                "{seconds} s of listening; wanted at most {LISTEN_MAX}"
+            ));
+        }
+        Seconds::try_from(seconds).map(Self)
+    }
+}
+
+#[derive(Clone, Copy, Deserialize)]
 #[serde(try_from = "u32")]
 struct CanId(u16);
 
@@ -376,7 +395,7 @@ impl Board {
             can: CanBoard {
                 sink: file.can.sink.0,
                 settings,
-                listen: file.can.listen_s.map_or(LISTEN, |listen| listen.0),
+                listen: file.can.listen_s.map_or(LISTEN, |listen| listen.0.0),
             },
             monitor: MonitorBoard {
                 reference: file.monitor.reference.map(beside),
@@ -534,6 +553,7 @@ mod tests {
             ),
             (4, "sink", "status = { id = 0x800 }\nsink", "0x7FF"),
             (4, "sink", "listen_s = -1.0\nsink", "seconds from 0"),
+            (4, "sink", "listen_s = 31.0\nsink", "at most 30"),
             (
                 2,
                 "[camera]",

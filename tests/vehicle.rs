@@ -202,9 +202,16 @@ fn arm64_package_is_installed_warns_and_leaves_nothing_behind() {
             .any(|line| line["MESSAGE"].as_str().is_some_and(|m| m.contains("Gap")))
     );
 
-    // Removed without a trace.
+    // The service may write its evidence: both pictures and what was said of them.
+    let evidence = left.text("evidence.out");
+    for file in ["seen/000001/event.json", "/frame-", "/heat-"] {
+        assert!(evidence.contains(file), "{file}: {evidence}");
+    }
+
+    // Removed but for what the integrator has made, then purged without a trace.
     left.done("remove");
     let kept = left.text("removed.out");
+    assert!(paths(&kept).contains("/etc/gapwatch/car.toml"), "{kept}");
     assert!(
         paths(&kept)
             .iter()

@@ -126,10 +126,14 @@ fn examine(args: &DoctorArgs) -> Vec<Check> {
         (Some((model, reference)), Some(taken)) => budget::check(&board, model, reference, taken),
     });
     checks.push(clock::check());
-    checks.push(folders::check("journal", args.journal.as_deref()));
+    checks.push(folders::check(
+        "journal",
+        args.journal.as_deref(),
+        &args.board,
+    ));
     let evidence = board.evidence.as_ref().map(|kept| kept.folder.as_path());
     let evidence = args.evidence.as_deref().or(evidence);
-    checks.push(folders::check("evidence", evidence));
+    checks.push(folders::check("evidence", evidence, &args.board));
     checks
 }
 

@@ -76,7 +76,7 @@ pub fn run(args: &MonitorArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
     if let Some(journal) = &mut journal {
         journal.describe(About::new(&board.camera.source, &name, &reference));
     }
-    let recorder = recorder(args, &board, &model)?;
+    let recorder = recorder(args, &board, &model);
     let stop = Arc::new(AtomicBool::new(false));
     for signal in [SIGTERM, SIGINT] {
         flag::register(signal, Arc::clone(&stop)).context("cannot wait for signals")?;
@@ -195,11 +195,10 @@ pub(super) fn read_reference(board: &Board, file: &Path) -> anyhow::Result<Refer
 }
 
 /// Keeps evidence where the command line or the board says so.
-fn recorder(args: &MonitorArgs, board: &Board, model: &Model) -> anyhow::Result<Option<Recorder>> {
+/// A disk that takes no evidence costs no verdict.
+fn recorder(args: &MonitorArgs, board: &Board, model: &Model) -> Option<Recorder> {
     let (asked, on_board) = (args.evidence.as_ref(), board.evidence.as_ref());
-    let Some(folder) = asked.or(on_board.map(|evidence| &evidence.folder)) else {
-        return Ok(None);
-    };
+    let folder = asked.or(on_board.map(|evidence| &evidence.folder))?;
     let quota = on_board.map_or_else(
         || Quota {
             keep: Some(board::KEEP),
@@ -207,9 +206,14 @@ fn recorder(args: &MonitorArgs, board: &Board, model: &Model) -> anyhow::Result<
         },
         |evidence| evidence.quota,
     );
-    let recorder = Recorder::start(folder, quota, &model.spec.taps)
-        .with_context(|| format!("cannot keep evidence in {}", folder.display()))?;
-    Ok(Some(recorder))
+    Recorder::start(folder, quota, &model.spec.taps)
+        .inspect_err(|error| {
+            log::error!(
+                "cannot keep evidence in {}, and watches without: {error}",
+                folder.display()
+            );
+        })
+        .ok()
 }
 
 /// Listens before the first word: two senders of one identifier would destroy each other's frames.

@@ -3,7 +3,7 @@
 use std::fs::{self, File, TryLockError};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
-use std::time::SystemTime;
+use std::time::{Duration, Instant, SystemTime};
 
 use super::Quota;
 use super::reading::{EVENT_FILE, Event};
@@ -15,7 +15,23 @@ const UNFINISHED: &str = ".unfinished-";
 struct OnDisk {
     number: u64,
     bytes: u64,
-    written: SystemTime,
+    written: Written,
+}
+
+/// When an event was written. The clock of a computer without a battery jumps once it hears the time; what was written in this run
+/// is not older for it.
+enum Written {
+    Before(SystemTime),
+    InThisRun(Instant),
+}
+
+impl Written {
+    fn age(&self, now: SystemTime) -> Duration {
+        match self {
+            Self::Before(at) => now.duration_since(*at).unwrap_or_default(),
+            Self::InThisRun(at) => at.elapsed(),
+        }
+    }
 }
 
 pub struct EventFolder {
@@ -50,7 +66,7 @@ impl EventFolder {
                 events.push(OnDisk {
                     number,
                     bytes: bytes_in(&entry.path())?,
-                    written: entry.metadata()?.modified()?,
+                    written: Written::Before(entry.metadata()?.modified()?),
                 });
             }
         }
@@ -98,7 +114,7 @@ impl EventFolder {
         self.events.push(OnDisk {
             number: self.next,
             bytes,
-            written: SystemTime::now(),
+            written: Written::InThisRun(Instant::now()),
         });
         self.next += 1;
         Ok(removed)
@@ -125,10 +141,7 @@ impl EventFolder {
             return Ok(0);
         };
         let mut removed = 0;
-        let old = |event: &OnDisk| {
-            now.duration_since(event.written)
-                .is_ok_and(|age| age > keep)
-        };
+        let old = |event: &OnDisk| event.written.age(now) > keep;
         // Any of them: by a clock that jumped, the oldest may be the newest.
         while let Some(index) = self.events.iter().position(old) {
             self.remove(index)?;
@@ -163,4 +176,33 @@ fn bytes_in(folder: &Path) -> io::Result<u64> {
         bytes += file?.metadata()?.len();
     }
     Ok(bytes)
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    #[test]
+    fn a_clock_that_jumps_takes_nothing_of_this_run() {
+        let place = tempfile::tempdir().unwrap();
+        let day = Duration::from_secs(86_400);
+        let quota = Quota {
+            keep: Some(2 * day),
+            ..Quota::default()
+        };
+        let event = Event {
+            edge: 0,
+            moments: Vec::new(),
+        };
+        let years_on = SystemTime::now() + 3_000 * day;
+        let mut folder = EventFolder::open(place.path(), quota).unwrap();
+        folder.add(&event, &[]).unwrap();
+        assert_eq!(folder.expire(years_on).unwrap(), 0);
+        drop(folder);
+        // Of an earlier run it is as old as the clock says.
+        let mut folder = EventFolder::open(place.path(), quota).unwrap();
+        assert_eq!(folder.expire(SystemTime::now()).unwrap(), 0);
+        assert_eq!(folder.expire(years_on).unwrap(), 1);
+    }
 }

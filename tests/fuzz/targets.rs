@@ -2,6 +2,7 @@
 
 use std::borrow::Cow;
 use std::fs;
+use std::panic::{Location, PanicHookInfo, catch_unwind};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -30,11 +31,14 @@ pub struct Target {
     /// What it takes.
     pub seeds: Vec<Vec<u8>>,
     /// Whether bytes were taken. The same bytes get the same answer.
-    pub read: Box<dyn FnMut(&[u8]) -> bool>,
+    pub read: Read,
 }
 
+pub type Read = Box<dyn FnMut(&[u8]) -> bool>;
+pub type Named = (&'static str, fn() -> Target);
+
 /// All of them by name.
-pub const TARGETS: [(&str, fn() -> Target); 13] = [
+pub const TARGETS: [Named; 13] = [
     ("png", png),
     ("jpeg", jpeg),
     ("camera-buffers", camera_buffers),
@@ -98,8 +102,11 @@ fn encoded(format: image::ImageFormat) -> Vec<u8> {
 
 fn image(name: &str, format: image::ImageFormat) -> Target {
     file(name, vec![encoded(format)], |path| {
-        let mut source = open(path.to_str().unwrap()).unwrap();
-        source.next_frame().unwrap().unwrap().picture.is_ok()
+        // Bytes that begin as a recording does are read as one, which may not open.
+        let opened = open(path.to_str().unwrap());
+        opened.is_ok_and(
+            |mut source| matches!(source.next_frame(), Ok(Some(frame)) if frame.picture.is_ok()),
+        )
     })
 }
 
@@ -228,6 +235,18 @@ fn whole_recordings() -> Vec<Vec<u8>> {
 }
 
 fn recordings() -> Target {
+    // A record longer than its chunk makes mcap 0.26 subtract beyond 0. Unchecked, as it is shipped, it reads on to an error at
+    // the end of the file.
+    let in_mcap = |panic: &PanicHookInfo| {
+        let at = panic.location().map_or("", Location::file);
+        at.ends_with("sans_io/linear_reader.rs") && panic.to_string().contains("subtract")
+    };
+    let loud = std::panic::take_hook();
+    std::panic::set_hook(Box::new(move |panic| {
+        if !in_mcap(panic) {
+            loud(panic);
+        }
+    }));
     let pictures = |path: &Path, topic: &str| {
         let Ok(mut source) = open(&format!("{}?topic={topic}", path.display())) else {
             return 0;
@@ -239,8 +258,8 @@ fn recordings() -> Target {
         pictures
     };
     file("a.mcap", whole_recordings(), move |path| {
-        let both = [pictures(path, "/ros"), pictures(path, "/camera")];
-        both == [4, 4]
+        let both = || [pictures(path, "/ros"), pictures(path, "/camera")];
+        catch_unwind(both).is_ok_and(|both| both == [4, 4])
     })
 }
 

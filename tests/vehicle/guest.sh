@@ -39,6 +39,7 @@ fi
 done_as version gapwatch --version
 done_as listed dpkg -L gapwatch
 cp /usr/share/gapwatch/boards/emulated-arm64.toml /etc/gapwatch/car.toml
+printf '[evidence]\nfolder = "/var/lib/gapwatch/seen"\n' >>/etc/gapwatch/car.toml
 done_as replay gapwatch replay "$(cat short-drive)" --journal replay.jsonl
 
 while [ ! -e quiet ]; do cat nominal; done | play &
@@ -58,7 +59,6 @@ done_as enable systemctl enable --now $unit
 property ActiveState >active.out
 pid=$(property MainPID)
 grep -E 'VmRSS|VmHWM|Threads|Uid|CapEff|NoNewPrivs|Seccomp:' /proc/$pid/status >process.out
-ls /proc/$pid/root/home /proc/$pid/root/root >/dev/null 2>&1
 wait $playing
 grep -E 'VmRSS|VmHWM' /proc/$pid/status >process-after.out
 property StatusText >status.out
@@ -83,6 +83,7 @@ wait $logging
 journalctl -u $unit -o json --output-fields=PRIORITY,MESSAGE --no-pager >journal.out
 systemd-analyze security $unit --no-pager 2>/dev/null | tail -1 >security.out
 
+find -L /var/lib/gapwatch -type f >evidence.out
 done_as remove dpkg -r gapwatch
 traces >removed.out
 done_as purge dpkg -P gapwatch

@@ -16,13 +16,16 @@ const MEASURE: Duration = Duration::from_secs(2);
 
 pub fn check(board: &Board, model: &Model, reference: &Reference, taken: &Taken) -> Vec<Check> {
     let mut checks = Vec::new();
-    match unjudged(model, reference, taken) {
+    match judged(model, reference, taken) {
         Err(error) => {
             let remedy = "see what the model needs: gapwatch bench --model FILE";
             return vec![Check::fail("budget", format!("{error:#}"), remedy)];
         }
-        Ok(None) => {}
-        Ok(Some(why)) => {
+        Ok((judged, None)) => checks.push(Check::pass(
+            "picture",
+            format!("{judged} of {} frames can be judged", taken.frames.len()),
+        )),
+        Ok((_, Some(why))) => {
             let remedy =
                 "see that the lens is free and lit, and that the board names the right camera";
             return vec![
@@ -31,23 +34,25 @@ pub fn check(board: &Board, model: &Model, reference: &Reference, taken: &Taken)
             ];
         }
     }
-    checks.push(Check::pass(
-        "picture",
-        format!("{} frames can be judged", taken.frames.len()),
-    ));
     checks.push(time(board, model, reference, taken));
     checks.push(memory(board));
     checks
 }
 
-/// Why the last frame cannot be judged.
-fn unjudged(model: &Model, reference: &Reference, taken: &Taken) -> anyhow::Result<Option<String>> {
+/// How many frames can be judged, and what is wrong with the last or with most of them: a camera needs a moment to see.
+fn judged(
+    model: &Model,
+    reference: &Reference,
+    taken: &Taken,
+) -> anyhow::Result<(usize, Option<String>)> {
     let mut monitor = Monitor::new(&model.encoder, reference)?;
-    let verdicts = taken.frames.iter().map(|frame| monitor.step(frame));
-    let last = verdicts.last();
-    Ok(last
-        .and_then(|verdict| verdict.undefined)
-        .map(|why| why.to_string()))
+    let steps = taken.frames.iter().map(|frame| monitor.step(frame));
+    let faults: Vec<_> = steps.map(|verdict| verdict.undefined).collect();
+    let judged = faults.iter().filter(|fault| fault.is_none()).count();
+    let latest = faults.iter().rev().flatten().next();
+    let last_fails = faults.last().is_some_and(Option::is_some);
+    let why = latest.filter(|_| last_fails || 2 * judged < faults.len());
+    Ok((judged, why.map(ToString::to_string)))
 }
 
 fn time(board: &Board, model: &Model, reference: &Reference, taken: &Taken) -> Check {

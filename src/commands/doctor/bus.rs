@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use gapwatch::board::Board;
 use gapwatch::can::receiver::{Heard, Receiver};
-use gapwatch::can::{Sink, WarningSink};
+use gapwatch::can::{BusState, Sink, WarningSink};
 
 use super::Check;
 
@@ -60,7 +60,13 @@ pub fn check(board: &Board) -> Vec<Check> {
     }
     let ears = listen(open.as_mut(), board);
     let ids = &board.can.settings;
+    let state = open.bus_state();
     let mut checks = vec![match ears.foreign {
+        None if matches!(state, BusState::Passive | BusState::Off) => Check::fail(
+            "bus",
+            format!("socketcan:{name}: the controller is {state:?}, after many errors on the wire"),
+            "see wiring, termination, the bit rate, and that another node is there to acknowledge",
+        ),
         Some(id) => Check::fail(
             "bus",
             format!("socketcan:{name}: another node sends our CAN id {id:#X}"),
@@ -70,9 +76,7 @@ pub fn check(board: &Board) -> Vec<Check> {
             "bus",
             format!(
                 "socketcan:{name} is up, controller {:?}; {:#X} and {:#X} are free",
-                open.bus_state(),
-                ids.status.id,
-                ids.health.id
+                state, ids.status.id, ids.health.id
             ),
         ),
     }];

@@ -28,6 +28,8 @@ pub struct Taken {
     pub frames: Vec<Frame>,
     /// CPU time that taking and converting one cost, median; `None` where the system does not tell.
     pub cpu: Option<Duration>,
+    /// Of the frames: how many a second came.
+    rate_hz: f64,
 }
 
 struct Given {
@@ -71,7 +73,7 @@ pub fn check(board: &Board) -> (Option<Taken>, Check) {
         let found = format!("{said}: a recorded or rendered drive, shown at its own pace");
         return (Some(taken), Check::pass("camera", found));
     }
-    let rate = rate_of(&taken.frames);
+    let rate = taken.rate_hz;
     let found = format!("{said}; {rate:.1} of the wanted {rate_hz} frames a second");
     if rate < RATE_SHARE * rate_hz {
         let remedy = "ask for another format, a smaller size or a higher fps in [camera], give it more light, or lower rate_hz in [monitor]";
@@ -81,11 +83,13 @@ pub fn check(board: &Board) -> (Option<Taken>, Check) {
 }
 
 /// Takes frames on a thread that nobody waits for: a camera may not answer.
+#[allow(clippy::cast_precision_loss)]
 fn take(source: Box<dyn FrameSource>, patience: Duration) -> Result<Taken, String> {
     let (sender, given) = channel();
     let until = Instant::now() + patience;
     std::thread::spawn(move || give(source, &sender));
     let (mut frames, mut cpu) = (Vec::new(), Vec::new());
+    let mut in_time = true;
     while frames.len() < FRAMES {
         match given.recv_timeout(until.saturating_duration_since(Instant::now())) {
             Ok(Given {
@@ -97,7 +101,10 @@ fn take(source: Box<dyn FrameSource>, patience: Duration) -> Result<Taken, Strin
             }
             Ok(Given { frame: Err(e), .. }) => return Err(e.to_string()),
             Ok(Given { .. }) | Err(RecvTimeoutError::Disconnected) => break,
-            Err(RecvTimeoutError::Timeout) => break,
+            Err(RecvTimeoutError::Timeout) => {
+                in_time = false;
+                break;
+            }
         }
     }
     if frames.is_empty() {
@@ -108,7 +115,17 @@ fn take(source: Box<dyn FrameSource>, patience: Duration) -> Result<Taken, Strin
         cpu.sort_unstable();
         cpu.get(cpu.len() / 2).copied()
     });
-    Ok(Taken { frames, cpu })
+    // One that stalls is as slow as all the time that was waited for it.
+    let rate_hz = if in_time {
+        rate_of(&frames)
+    } else {
+        frames.len() as f64 / patience.as_secs_f64()
+    };
+    Ok(Taken {
+        frames,
+        cpu,
+        rate_hz,
+    })
 }
 
 fn give(mut source: Box<dyn FrameSource>, sender: &Sender<Given>) {

@@ -25,7 +25,7 @@ pub fn check() -> Check {
     let wall = if is_set {
         "the time of day is set"
     } else {
-        "the time of day is not set, which shows in log lines alone"
+        "the time of day is not set, which shows in log lines and in the age of evidence from earlier runs"
     };
     Check::pass(
         "clock",

@@ -4,11 +4,30 @@ use std::path::Path;
 
 use super::Check;
 
-/// `place` is the journal's file or the folder of evidence; where it is not there yet, the folder above must be.
-pub fn check(what: &'static str, place: Option<&Path>) -> Check {
+/// The only folder that the service may write, made when it starts; and where its boards are.
+const OF_SERVICE: &str = "/var/lib/gapwatch";
+const BOARDS_OF_SERVICE: &str = "/etc/gapwatch";
+
+/// `place` is the journal's file or the folder of evidence; where it is not there yet, the folder above must be. Of a `board` of
+/// the service it is the service that writes.
+pub fn check(what: &'static str, place: Option<&Path>, board: &Path) -> Check {
     let Some(place) = place else {
         return Check::left_out(what, format!("none asked for (--{what})"));
     };
+    if board.starts_with(BOARDS_OF_SERVICE) && what == "evidence" {
+        return if place.starts_with(OF_SERVICE) {
+            Check::pass(
+                what,
+                format!("{}, which the service may write", place.display()),
+            )
+        } else {
+            Check::fail(
+                what,
+                format!("{}, which the service may not write", place.display()),
+                format!("name an absolute folder below {OF_SERVICE}"),
+            )
+        };
+    }
     let folder = if place.is_dir() {
         place
     } else {
