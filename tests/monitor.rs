@@ -235,6 +235,23 @@ fn a_board_keeps_evidence_beside_it_also_when_it_is_killed() {
 }
 
 #[test]
+fn a_folder_that_takes_no_evidence_costs_no_verdict() {
+    let folder = tempfile::tempdir().unwrap();
+    fs::write(folder.path().join("file"), "").unwrap();
+    let board = board("scene:sim?seed=7&seconds=3&size=160x80");
+    let done = monitor(folder.path(), &board, &["--evidence", "file"]);
+    let done = done.wait_with_output().unwrap();
+    assert!(done.status.success(), "{done:?}");
+    let said = String::from_utf8(done.stderr).unwrap();
+    assert!(said.contains("cannot keep evidence in file"), "{said}");
+    let states: Vec<_> = status_frames(folder.path())
+        .iter()
+        .map(|(_, s)| s.state)
+        .collect();
+    assert!(states.contains(&AlarmState::Ok), "{states:?}");
+}
+
+#[test]
 fn what_is_not_there_is_refused_before_anything_is_sent() {
     let folder = tempfile::tempdir().unwrap();
     let good = board("scene:sim?seed=7&seconds=2");
