@@ -352,6 +352,10 @@ mod tests {
         let seen = detector.observe(at(0), &[0, 0, 7, 7, 0, 0, 7, 7]).unwrap();
         assert_eq!((seen.component, seen.blocks[0].gap), (1, 0.0));
         assert_eq!(detector.taken_len(), 8);
+        // Of two that lie as near it is the first.
+        let two = vec![component(vec![1; 4]), component(vec![1; 4])];
+        let alike = Detector::of(metric, two, 1.0).observe(at(0), &[3, 1, 0, 0, 3, 1, 0, 0]);
+        assert_eq!(alike.unwrap().component, 0);
     }
 
     #[test]
