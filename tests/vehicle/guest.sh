@@ -86,6 +86,7 @@ systemd-analyze security $unit --no-pager 2>/dev/null | tail -1 >security.out
 find -L /var/lib/gapwatch -type f >evidence.out
 done_as remove dpkg -r gapwatch
 traces >removed.out
+ls /etc/gapwatch >kept.out
 done_as purge dpkg -P gapwatch
 traces >purged.out
 find / -xdev -not -path '/proc/*' -not -path '/root/*' | sort >files-after.log

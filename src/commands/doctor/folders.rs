@@ -51,3 +51,26 @@ pub fn check(what: &'static str, place: Option<&Path>, board: &Path) -> Check {
         ),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::super::Outcome;
+    use super::*;
+
+    #[test]
+    fn a_board_of_the_service_is_judged_by_what_the_service_may_write() {
+        let here = tempfile::tempdir().unwrap();
+        let result = |place: &Path, board: &str| {
+            let check = check("evidence", Some(place), Path::new(board));
+            check.result
+        };
+        let service = "/etc/gapwatch/car.toml";
+        // Its own folder is made when it starts.
+        let own = Path::new("/var/lib/gapwatch/seen");
+        assert!(result(own, service) == Outcome::Pass);
+        assert!(result(here.path(), service) == Outcome::Fail);
+        assert!(result(here.path(), "car.toml") == Outcome::Pass);
+        assert!(result(&here.path().join("no/such"), "car.toml") == Outcome::Fail);
+    }
+}
