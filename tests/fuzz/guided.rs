@@ -34,15 +34,12 @@ fuzz_mutator!(|data: &mut [u8], size: usize, max_size: usize, seed: u32| {
     }
     let mutant = TARGET.with_borrow(|target| {
         let kept = data[..size].to_vec();
-        let from = dice.below(target.seeds.len() + 1);
+        let from = dice.below(target.seeds.len());
         // What libFuzzer keeps, and now and then something whole.
         if size < 8 || dice.below(20) == 0 {
             mutate(&mut dice, &target.seeds)
         } else {
-            mutate(
-                &mut dice,
-                &[kept, target.seeds[from.min(target.seeds.len() - 1)].clone()],
-            )
+            mutate(&mut dice, &[kept, target.seeds[from].clone()])
         }
     });
     let length = mutant.len().min(max_size);
