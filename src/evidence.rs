@@ -27,7 +27,8 @@ use crate::alarm::AlarmState;
 use crate::frame::pixels::Pixels;
 use crate::frame::{Frame, jpeg};
 use crate::heat;
-use crate::pipeline::{Look, Verdict};
+use crate::judge::Verdict;
+use crate::pipeline::Look;
 use crate::profile::TapProfile;
 
 use folder::EventFolder;

@@ -30,6 +30,18 @@ pub fn read_text(path: &Path, most: u64) -> io::Result<String> {
     String::from_utf8(read_whole(path, most)?).map_err(not_text)
 }
 
+/// Puts on the disk that `path` is in its folder.
+///
+/// # Errors
+/// When the disk does not take it; a file system that has no such thing is none.
+pub fn sync_folder(path: &Path) -> io::Result<()> {
+    let folder = path.parent().filter(|p| !p.as_os_str().is_empty());
+    match File::open(folder.unwrap_or(Path::new(".")))?.sync_all() {
+        Err(error) if error.kind() == io::ErrorKind::InvalidInput => Ok(()),
+        synced => synced,
+    }
+}
+
 /// A file being written beside its place; dropped without [`WholeFile::finish`] it leaves nothing behind.
 pub struct WholeFile(Target);
 

@@ -28,8 +28,9 @@ use gapwatch::encoder::Encoder;
 use gapwatch::frame::pixels::{Layout, PixelFormat, Pixels};
 use gapwatch::frame::{Frame, Picture};
 use gapwatch::journal::{self, Entry};
+use gapwatch::judge::Verdict;
 use gapwatch::model::{ModelOptions, ModelSpec};
-use gapwatch::pipeline::{Monitor, Verdict};
+use gapwatch::pipeline::Monitor;
 use gapwatch::reference::Reference;
 use program::gapwatch_in;
 
