@@ -451,8 +451,8 @@ mod tests {
     fn suspicion_lasts_as_long_as_evidence_comes_and_the_counter_is_above_0() {
         // Evidence in every other frame: the counter climbs by 12.7 and falls by 6.35.
         let mut alarm = Alarm::default();
-        for tenth in 0..80_u32 {
-            let evident = (20..50).contains(&tenth) && tenth % 2 == 0;
+        for tenth in 0..100_u32 {
+            let evident = (20..60).contains(&tenth) && tenth % 2 == 0;
             let judgement = Judgement::Score {
                 score: if evident { 2.0 } else { 0.0 },
                 settled: tenth >= 10,
@@ -460,8 +460,10 @@ mod tests {
             alarm.step(Duration::from_millis(100) * tenth, judgement);
             let wanted = match tenth {
                 0..10 => AlarmState::Init,
-                20..38 => AlarmState::Suspect,
-                38..68 => AlarmState::Gap,
+                20..56 => AlarmState::Suspect,
+                56..78 => AlarmState::Gap,
+                // 2 s after the last evidence, or a frame later.
+                78 => continue,
                 _ => AlarmState::Ok,
             };
             assert_eq!(alarm.state(), wanted, "frame {tenth}");

@@ -110,10 +110,10 @@ pub struct Moment {
 }
 
 /// A frame on its way to the writer.
-struct Message {
-    moment: Moment,
+pub(crate) struct Message {
+    pub(crate) moment: Moment,
     at: Duration,
-    edge: bool,
+    pub(crate) edge: bool,
     pixels: Pixels,
     look: Option<Look>,
 }
@@ -161,6 +161,27 @@ impl Recorder {
             handed_at: None,
             dropped_frames: 0,
         })
+    }
+
+    /// Hands over to a queue of so many messages that nobody writes.
+    #[cfg(test)]
+    pub(crate) fn in_memory(messages: usize) -> (Self, Receiver<Message>) {
+        let (sender, receiver) = sync_channel(messages);
+        let recorder = Self {
+            sender,
+            patient: false,
+            writer: std::thread::spawn(Kept::default),
+            state: AlarmState::Init,
+            handed_at: None,
+            dropped_frames: 0,
+        };
+        (recorder, receiver)
+    }
+
+    /// Frames that the queue had no room for.
+    #[cfg(test)]
+    pub(crate) fn dropped_frames(&self) -> u64 {
+        self.dropped_frames
     }
 
     /// For a recorded drive, which has time: a frame waits for the writer, and none is left out.

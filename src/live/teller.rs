@@ -171,11 +171,7 @@ impl Teller {
                 if is_silence && !self.is_silence_news() {
                     return Ok(());
                 }
-                let latency = if is_silence {
-                    Duration::ZERO
-                } else {
-                    now.saturating_sub(verdict.at)
-                };
+                let latency = now.saturating_sub(verdict.at);
                 self.heard_at = now;
                 let verdict = in_time(verdict, latency);
                 self.tell(now, &verdict, latency, show)
