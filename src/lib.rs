@@ -76,6 +76,8 @@ pub mod heat;
 pub mod report;
 
 // What all of them use.
+pub mod durable;
 pub mod journal;
+pub mod temporary_folder;
 pub mod undefined;
 pub mod whole_file;
