@@ -314,11 +314,20 @@ fn root_a_full_disk_costs_events_and_no_verdict() {
     // Nothing half is left, and with a quota below the disk's size nothing is lost.
     assert_eq!(fs::read_dir(&seen).unwrap().count(), whole);
     drop(disk);
-    let _disk = SmallDisk::mount(&seen, "2m");
+    let disk = SmallDisk::mount(&seen, "2m");
     let quota = ["--evidence", "seen", "--evidence-mb", "1"];
     let (said, _) = journal("l", &quota);
     assert!(
         said.contains("evidence: 6 events written") && !said.contains("could not"),
+        "{said}"
+    );
+    // Where two events do not fit beside each other, the one that the quota has no more room for goes first.
+    drop(disk);
+    let _disk = SmallDisk::mount(&seen, "700k");
+    let (said, _) = journal("m", &["--evidence", "seen", "--evidence-events", "1"]);
+    assert!(
+        said.contains("evidence: 6 events written, 5 older ones removed")
+            && !said.contains("could not"),
         "{said}"
     );
 }

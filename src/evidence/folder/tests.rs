@@ -1,4 +1,4 @@
-#![allow(clippy::unwrap_used)]
+#![allow(clippy::unwrap_used, clippy::cast_possible_truncation)]
 use std::collections::{BTreeMap, BTreeSet};
 use std::os::unix::fs::symlink;
 
