@@ -82,8 +82,10 @@ pub mod report;
 
 // What all of them use.
 pub mod clock;
+pub mod durable;
 pub mod journal;
 pub mod live_file;
 pub mod output;
+pub mod temporary_folder;
 pub mod undefined;
 pub mod whole_file;

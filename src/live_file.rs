@@ -11,7 +11,7 @@ use std::sync::mpsc::{
 };
 use std::time::{Duration, Instant};
 
-use crate::whole_file::sync_folder;
+use crate::durable;
 
 /// Lines that may wait for a disk that hangs: several minutes of a monitor's.
 const QUEUE_MAX: usize = 4_096;
@@ -221,7 +221,7 @@ impl Writer {
 
     fn sync(&self) -> io::Result<()> {
         if self.place.is_some() {
-            self.file.sync_data()
+            durable::sync(&self.file)
         } else {
             Ok(())
         }
@@ -248,8 +248,7 @@ fn open(path: &Path) -> io::Result<(File, Option<PathBuf>)> {
         Err(_) => {}
     }
     let file = File::create(&place)?;
-    file.sync_all()?;
-    sync_folder(&place)?;
+    durable::sync_folder(durable::folder_of(&place))?;
     Ok((file, Some(place)))
 }
 
