@@ -76,6 +76,8 @@ pub mod heat;
 pub mod report;
 
 // What all of them use.
+mod bootstrap;
+pub mod event_rate;
 pub mod journal;
 pub mod undefined;
 pub mod whole_file;

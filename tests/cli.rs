@@ -595,7 +595,7 @@ fn references_that_are_broken_are_refused_by_name() {
         ("list.json", "[1, 2]".to_owned(), "format null"),
         (
             "old.json",
-            built_in.replacen("\"version\": 3", "\"version\": 99", 1),
+            built_in.replacen("\"version\": 4", "\"version\": 99", 1),
             "version 99",
         ),
         (
