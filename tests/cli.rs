@@ -599,6 +599,11 @@ fn references_that_are_broken_are_refused_by_name() {
             "version 99",
         ),
         (
+            "older.json",
+            built_in.replacen("\"version\": 4", "\"version\": 3", 1),
+            "version 3, of an older gapwatch; make it again with the command under provenance",
+        ),
+        (
             "whitening.json",
             changed(|r| {
                 let norm = &mut r["components"][0]["taps"][0]["nominal"]["energies"];

@@ -16,7 +16,8 @@ pub const ABOUT: &str = "Entries into `Gap` on nominal drives that nothing was t
     rate. Intervals are from resampling drives, since a road near the threshold enters more than once, and never narrower than \
     the exact ones of independent entries (Poisson). A rate is *not louder than asked* when its one-sided 95 % upper bound is at \
     most the wanted rate, *louder than asked* when its one-sided 95 % lower bound is above it, and else *not shown*, with the hours \
-    without an entry that are missing. Only judged hours count.";
+    without an entry that are missing; a row without one-sided bounds is judged by the ends of its two-sided interval, which are wider. \
+    Only judged hours count.";
 
 /// A row as it stands in a file: the word beside its numbers, for whoever reads it. It is not read back but made of the
 /// numbers again.
