@@ -21,6 +21,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::clock::ClockTime;
 use crate::detector::BlockScore;
+use crate::event_rate::Hours;
 use crate::image_quality::ImageQuality;
 use crate::judge::Verdict;
 use crate::live_file::LiveFile;
@@ -108,10 +109,11 @@ impl About {
 /// What was measured of false alarms, in words.
 fn known_of(alarms: &FalseAlarms) -> String {
     let drives = |what: &str, on: &NominalDrives| {
-        let (low, high) = on.per_hour;
         format!(
-            "; {what} on {} nominal drives of {:.1} h together: {} entries into Gap, {low:.2} to {high:.2} an hour (95 %)",
-            on.drives, on.hours, on.entries
+            "; {what} on {} nominal drives of {} together: {} entries into Gap",
+            on.drives,
+            Hours(on.hours),
+            on.entries
         )
     };
     let mut text = format!("at most {} an hour wanted", alarms.wanted_per_hour);
@@ -119,10 +121,7 @@ fn known_of(alarms: &FalseAlarms) -> String {
     if let Some(judged_on) = &alarms.judged_on {
         text += &drives("judged", judged_on);
     }
-    if let Some(missing) = &alarms.missing {
-        text += &format!("; not demonstrated: {missing}");
-    }
-    text
+    text + "; " + &alarms.said()
 }
 
 #[derive(Serialize)]

@@ -81,8 +81,10 @@ pub mod heat;
 pub mod report;
 
 // What all of them use.
+mod bootstrap;
 pub mod clock;
 pub mod durable;
+pub mod event_rate;
 pub mod journal;
 pub mod live_file;
 pub mod output;
