@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
-use program::{files, gapwatch_in, whole_events};
+use program::{files, gapwatch_in, verdict_lines, whole_events};
 
 /// Noise that comes and goes: an alarm every 4 s.
 fn flicker(seconds: u32) -> String {
@@ -292,11 +292,7 @@ fn root_a_full_disk_costs_events_and_no_verdict() {
     let journal = |name: &str, more: &[&str]| {
         let args = ["replay", &drive, "--journal", name];
         let said = gapwatch_in(folder.path(), &[&args, more].concat()).ok();
-        let text = fs::read_to_string(folder.path().join(name)).unwrap();
-        let lines = text
-            .lines()
-            .map(|line| line.split(",\"latency_ms\"").next().unwrap().to_owned());
-        (said, lines.collect::<Vec<_>>())
+        (said, verdict_lines(&folder.path().join(name)))
     };
     let (_, without) = journal("j", &[]);
     let disk = SmallDisk::mount(&seen, "400k");
@@ -346,8 +342,9 @@ fn folders_that_cannot_be_written_or_read_are_refused() {
         );
     }
     assert_eq!(files(folder.path()), before);
-    let line = r#"{"t_s":1,"seq":1,"state":"Gap","reason":"abrupt","score":2.5,"gap":{},"similarity":{},"health":"ok","latency_ms":1}"#;
-    fs::write(folder.path().join("j"), line).unwrap();
+    let line = r#"{"t_s":1,"captured_s":1,"seq":1,"state":"Gap","reason":"abrupt","score":2.5,"gap":{},"similarity":{},"health":"ok","latency_ms":1}"#;
+    let journal = format!("{{\"gapwatch_journal\":2}}\n{line}\n");
+    fs::write(folder.path().join("j"), journal).unwrap();
     let event = folder.path().join("seen/000001");
     fs::create_dir_all(&event).unwrap();
     fs::write(folder.path().join("secret"), [0xff, 0xd8, 0xff, 1]).unwrap();

@@ -7,7 +7,7 @@ use std::fs;
 use std::path::Path;
 
 use image::{Rgb, RgbImage};
-use program::gapwatch_in;
+use program::{gapwatch_in, journal_of};
 use serde_json::Value;
 
 const SCENES: &str = "scene:sim?seed=1..3&seconds=2&fps=2";
@@ -103,11 +103,7 @@ fn a_drive_with_a_cut_picture_goes_on_without_it() {
         &["replay", "s/frames", "--journal", "j.jsonl", "--check"],
     );
     assert_eq!(ran.code, 3, "{}", ran.err);
-    let lines: Vec<Value> = fs::read_to_string(folder.path().join("j.jsonl"))
-        .unwrap()
-        .lines()
-        .map(|line| serde_json::from_str(line).unwrap())
-        .collect();
+    let lines = journal_of(&folder.path().join("j.jsonl"));
     assert_eq!(lines.len(), 20);
     assert!(
         lines[8]["health"].as_str().unwrap().contains("000008.png"),

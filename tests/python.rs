@@ -7,7 +7,7 @@ mod program;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use program::{Ran, gapwatch_in, ran};
+use program::{Ran, gapwatch_in, ran, verdict_lines};
 
 const PROGRAM: &str = env!("CARGO_BIN_EXE_gapwatch");
 const ROOT: &str = env!("CARGO_MANIFEST_DIR");
@@ -149,10 +149,7 @@ fn recordings_that_others_write_are_seen_like_the_pictures_in_them() {
     );
     let journal = |source: &str| {
         gapwatch_in(folder.path(), &["replay", source, "--journal", "j"]).ok();
-        let text = std::fs::read_to_string(folder.path().join("j")).unwrap();
-        text.lines()
-            .map(|line| line.split(",\"latency_ms\"").next().unwrap().to_owned())
-            .collect::<Vec<_>>()
+        verdict_lines(&folder.path().join("j"))
     };
     let (colours, grey) = (journal("s/frames"), journal("grey"));
     assert_eq!(colours.len(), 25);
@@ -192,10 +189,7 @@ fn a_video_is_seen_like_the_pictures_it_was_made_of() {
     );
     let journal = |source: &str, name: &str| {
         gapwatch_in(folder.path(), &["replay", source, "--journal", name]).ok();
-        let text = std::fs::read_to_string(folder.path().join(name)).unwrap();
-        text.lines()
-            .map(|line| line.split(",\"latency_ms\"").next().unwrap().to_owned())
-            .collect::<Vec<_>>()
+        verdict_lines(&folder.path().join(name))
     };
     let (video, pictures) = (journal("v.mkv", "v.jsonl"), journal("s/frames", "p.jsonl"));
     assert_eq!(video.len(), 30);

@@ -11,7 +11,7 @@ use std::path::Path;
 use gapwatch::frame::{Frame, SourceError, open};
 use mcap::records::MessageHeader;
 use mcap::{Compression, WriteOptions};
-use program::{files, gapwatch_in};
+use program::{files, gapwatch_in, journal_of};
 use serde_json::{Value, json};
 
 /// A message of `foxglove.CompressedImage` in JSON: a picture of 64x32, another for each number.
@@ -73,11 +73,8 @@ fn verdicts_lie_beside_the_images_and_are_the_journal_s() {
     let drive = "scene:sim?seed=7&seconds=4&condition=night:5@1-3";
     let args = ["replay", drive, "--journal", "j", "--mcap", "a.mcap"];
     gapwatch_in(folder.path(), &args).ok();
-    let read = |name: &str| fs::read_to_string(folder.path().join(name)).unwrap();
-    let lines: Vec<Value> = read("j")
-        .lines()
-        .map(|line| serde_json::from_str(line).unwrap())
-        .collect();
+    let read = |name: &str| journal_of(&folder.path().join(name));
+    let lines = read("j");
     let bytes = fs::read(folder.path().join("a.mcap")).unwrap();
     let messages: Vec<mcap::Message<'_>> = mcap::MessageStream::new(&bytes)
         .unwrap()
@@ -114,10 +111,7 @@ fn verdicts_lie_beside_the_images_and_are_the_journal_s() {
     // What was written can be looked at again; times and numbers stay what they were.
     let again = ["replay", "a.mcap", "--journal", "k", "--mcap", "b.mcap"];
     gapwatch_in(folder.path(), &again).ok();
-    let again: Vec<Value> = read("k")
-        .lines()
-        .map(|line| serde_json::from_str(line).unwrap())
-        .collect();
+    let again = read("k");
     assert_eq!(again.len(), lines.len());
     for (after, before) in again.iter().zip(&lines) {
         assert_eq!(after["seq"], before["seq"]);

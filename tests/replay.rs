@@ -3,19 +3,9 @@
 
 mod program;
 
-use std::fs;
-use std::path::Path;
-
-use program::{assert_expected, gapwatch_in};
+use program::{assert_expected, gapwatch_in, journal_of};
 use serde_json::Value;
-
-fn journal(path: &Path) -> Vec<Value> {
-    fs::read_to_string(path)
-        .unwrap()
-        .lines()
-        .map(|line| serde_json::from_str(line).unwrap())
-        .collect()
-}
+use std::fs;
 
 /// The replay's words, without the time it took.
 fn without_duration(out: &str) -> String {
@@ -35,7 +25,7 @@ fn the_built_in_drive_is_ok_then_a_gap_within_3_s_of_the_shift_then_ok_again() {
     )
     .ok();
     assert_expected("replay.txt", &without_duration(&out));
-    let journal = journal(&folder.path().join("j.jsonl"));
+    let journal = journal_of(&folder.path().join("j.jsonl"));
     assert_eq!(journal.len(), 600);
     let state = |tenth: usize| journal[tenth]["state"].as_str().unwrap();
     for (part, tenths, wanted) in [
@@ -73,7 +63,7 @@ fn journal_lines_have_every_key_and_one_number_a_tap() {
         ],
     )
     .ok();
-    for line in journal(&folder.path().join("j.jsonl")) {
+    for line in journal_of(&folder.path().join("j.jsonl")) {
         for key in [
             "t_s",
             "seq",
@@ -103,7 +93,7 @@ fn the_same_drive_gives_the_same_verdicts_twice() {
     let verdicts = |name: &str| {
         let drive = "scene:sim?seed=11&seconds=8&condition=dirt:3@3-6";
         gapwatch_in(folder.path(), &["replay", drive, "--journal", name]).ok();
-        let mut lines = journal(&folder.path().join(name));
+        let mut lines = journal_of(&folder.path().join(name));
         lines
             .iter_mut()
             .for_each(|line| line["latency_ms"] = Value::Null);
@@ -174,7 +164,7 @@ fn silence_between_frames_is_unavailable_on_the_bus_and_in_the_journal() {
         "log:can.log",
     ];
     gapwatch_in(folder.path(), &drive).ok();
-    let journal = journal(&folder.path().join("j.jsonl"));
+    let journal = journal_of(&folder.path().join("j.jsonl"));
     let silent: Vec<&Value> = journal
         .iter()
         .filter(|line| line["seq"].is_null())

@@ -19,7 +19,7 @@ fn hostile_journal() -> String {
         let health = if score.is_some() { "ok" } else { HOSTILE };
         let reason = if state == "Ok" { "none" } else { HOSTILE };
         format!(
-            r#"{{"t_s":{t},"seq":{t},"state":"{state}","reason":"{reason}","score":{},"gap":{{"{HOSTILE}":{},"e3":{}}},"similarity":{{"{HOSTILE}":null,"e3":0.5}},"health":"{health}","latency_ms":{t}.25,"tap_score":{{"e3":{},"e2":null}},"about":{{"source":"{HOSTILE}"}},"later":[1]}}"#,
+            r#"{{"t_s":{t},"seq":{t},"state":"{state}","reason":"{reason}","score":{},"gap":{{"{HOSTILE}":{},"e3":{}}},"similarity":{{"{HOSTILE}":null,"e3":0.5}},"health":"{health}","latency_ms":{t}.25,"tap_score":{{"e3":{},"e2":null}},"later":[1]}}"#,
             number(1.0),
             number(0.01),
             number(0.02),
@@ -43,7 +43,11 @@ fn hostile_journal() -> String {
         .iter()
         .zip(0..)
         .map(|((state, score), t)| line(t, state, *score));
-    lines.collect::<Vec<_>>().join("\n") + "\n"
+    let first = format!(
+        r#"{{"gapwatch_journal":2,"began":{{"utc":"{HOSTILE}"}},"about":{{"source":"{HOSTILE}"}}}}"#
+    );
+    let lines: Vec<String> = [first].into_iter().chain(lines).collect();
+    lines.join("\n") + "\n"
 }
 
 #[test]
@@ -88,20 +92,24 @@ fn the_first_line_says_what_a_run_was_made_with_and_others_do_not() {
         .lines()
         .map(|line| serde_json::from_str(line).unwrap())
         .collect();
-    let about = &lines[0]["about"];
+    let (first, lines) = lines.split_first().unwrap();
+    let about = &first["about"];
     assert_eq!(
         (&about["source"], &about["reference"]),
         (&drive.into(), &"built-in".into())
     );
     assert_eq!(about["model_sha256"].as_str().unwrap().len(), 64);
-    assert!(lines[1..].iter().all(|line| line.get("about").is_none()));
+    let utc = first["began"]["utc"].as_str().unwrap();
+    assert!(utc.len() == 24 && utc.ends_with('Z'), "{utc}");
+    assert!(first["began"]["monotonic_s"].as_f64().unwrap() > 0.0);
+    assert!(lines.iter().all(|line| line.get("about").is_none()));
     let largest = |line: &serde_json::Value| {
         let scores = line["tap_score"].as_object().unwrap().values();
         scores
             .filter_map(serde_json::Value::as_f64)
             .fold(f64::MIN, f64::max)
     };
-    for line in &lines {
+    for line in lines {
         assert!((largest(line) - line["score"].as_f64().unwrap()).abs() < 1e-12);
     }
 }
@@ -111,12 +119,13 @@ fn what_is_no_journal_is_refused_and_leaves_nothing_behind() {
     let folder = tempfile::tempdir().unwrap();
     fs::write(folder.path().join("empty"), "").unwrap();
     let good = hostile_journal();
-    let first = good.lines().next().unwrap();
-    fs::write(
-        folder.path().join("cut"),
-        format!("{first}\n{}", &first[..30]),
-    )
-    .unwrap();
+    let (first, second) = {
+        let mut lines = good.lines();
+        (lines.next().unwrap(), lines.next().unwrap())
+    };
+    let with = |last: &str| format!("{first}\n{second}\n{last}\n");
+    fs::write(folder.path().join("cut"), with(&second[..30])).unwrap();
+    fs::write(folder.path().join("old"), format!("{second}\n")).unwrap();
     fs::write(folder.path().join("picture"), [0xff, 0xd8, 0xff, 0, b'\n']).unwrap();
     fs::write(folder.path().join("good"), &good).unwrap();
     let before = files(folder.path());
@@ -127,7 +136,12 @@ fn what_is_no_journal_is_refused_and_leaves_nothing_behind() {
             "r.html",
             "journal empty: found no line; wanted at least one frame",
         ),
-        ("cut", "r.html", "journal cut, line 2: found {"),
+        ("cut", "r.html", "journal cut, line 3: found {"),
+        (
+            "old",
+            "r.html",
+            "journal old: found version 1; wanted version 2",
+        ),
         ("picture", "r.html", "journal picture, line 1"),
         ("good", "no/such/r.html", "cannot write no/such/r.html"),
         ("good", "good", "another file"),
@@ -137,6 +151,11 @@ fn what_is_no_journal_is_refused_and_leaves_nothing_behind() {
         assert!(line.contains(said), "{line}");
         assert_eq!(files(folder.path()), before, "{journal}");
     }
+    // Of a run that was killed while it wrote, what is whole is shown, and that it breaks off.
+    fs::write(folder.path().join("killed"), with(&second[..30]).trim_end()).unwrap();
+    gapwatch_in(folder.path(), &["report", "killed", "--out", "k.html"]).ok();
+    let page = fs::read_to_string(folder.path().join("k.html")).unwrap();
+    assert!(page.contains("ended while it wrote its last line"));
     let help = gapwatch_in(folder.path(), &["report", "--help"]).ok();
     assert!(
         help.contains("Example:") && help.contains("gapwatch report"),

@@ -103,7 +103,8 @@ fn statuses(log: &str) -> (Vec<(f64, GapStatus)>, u32) {
 
 /// Lines of a journal, without the time that each took.
 fn verdicts(journal: &str) -> Vec<Value> {
-    let lines = journal.lines().map(|line| {
+    // The first one says when the run was.
+    let lines = journal.lines().skip(1).map(|line| {
         let mut line: Value = serde_json::from_str(line).unwrap();
         line.as_object_mut().unwrap().remove("latency_ms").unwrap();
         line

@@ -41,6 +41,29 @@ pub fn ran(output: Output) -> Ran {
     }
 }
 
+/// A journal's lines of frames and silences, as texts; its first line says that it is one.
+pub fn journal_lines(path: &Path) -> Vec<String> {
+    let text = fs::read_to_string(path).unwrap();
+    let (first, rest) = text.split_once('\n').unwrap();
+    assert!(first.starts_with("{\"gapwatch_journal\":2,"), "{first}");
+    rest.lines().map(str::to_owned).collect()
+}
+
+/// As [`journal_lines`], as objects.
+pub fn journal_of(path: &Path) -> Vec<serde_json::Value> {
+    let lines = journal_lines(path);
+    let objects = lines.iter().map(|line| serde_json::from_str(line).unwrap());
+    objects.collect()
+}
+
+/// As [`journal_lines`], without what differs from run to run: the time that each frame took.
+pub fn verdict_lines(path: &Path) -> Vec<String> {
+    let lines = journal_lines(path).into_iter();
+    lines
+        .map(|line| line.split(",\"latency_ms\"").next().unwrap().to_owned())
+        .collect()
+}
+
 impl Ran {
     /// The output of a run that did its job.
     pub fn ok(self) -> String {

@@ -141,7 +141,8 @@ def without_nulls(value):
 
 
 def read(path, journal):
-    lines = [json.loads(line) for line in Path(journal).read_text().splitlines()]
+    # The first line says what the run was made with.
+    first, *lines = [json.loads(line) for line in Path(journal).read_text().splitlines()]
     verdicts, images = [], []
     with open(path, "rb") as file:
         reader = make_reader(file, decoder_factories=[DecoderFactory()], validate_crcs=True)
@@ -161,7 +162,7 @@ def read(path, journal):
     assert len(images) == sum(line["seq"] is not None and "cut off" not in line["health"] for line in lines)
     assert {kind for _, kind, _ in images} == {"JPEG"}
     assert statistics.message_count == len(images) + len(verdicts)
-    assert about["gapwatch"]["source"] == lines[0]["about"]["source"]
+    assert about["gapwatch"]["source"] == first["about"]["source"]
     print(json.dumps({"verdicts": len(verdicts), "images": len(images), "size": images[0][2]}))
 
 

@@ -10,7 +10,7 @@ const DAY: Duration = Duration::from_secs(86_400);
 const TODAY: Duration = Duration::from_secs(1_790_000_000);
 
 fn at(since_1970: Duration) -> SystemTime {
-    UNIX_EPOCH + since_1970
+    SystemTime::UNIX_EPOCH + since_1970
 }
 
 fn quota(events: usize, bytes: u64) -> Quota {
@@ -388,8 +388,8 @@ impl Script<'_> {
         let now = self.dice.of(&today);
         let is_old = |written: Option<Duration>| {
             written.is_some_and(|written| {
-                written >= NEVER_SET_BEFORE
-                    && now >= NEVER_SET_BEFORE
+                clock::is_set(at(written))
+                    && clock::is_set(at(now))
                     && now.saturating_sub(written) > 30 * DAY
             })
         };
