@@ -379,11 +379,15 @@ fn tell_all(
         teller.offer(began.elapsed());
     }
     let troubles = [told.err(), stopped.err()].into_iter().flatten();
-    let mut troubles: Vec<OutputError> = troubles.chain(teller.finish()).collect();
-    for trouble in troubles.drain(1.min(troubles.len())..) {
-        log::error!("{:#}", anyhow::Error::from(trouble));
+    let mut of_bus = None;
+    for trouble in troubles.chain(teller.finish()) {
+        match trouble {
+            OutputError::Bus(_) if of_bus.is_none() => of_bus = Some(trouble),
+            // A journal that is not whole has cost no warning.
+            trouble => log::error!("{:#}", anyhow::Error::from(trouble)),
+        }
     }
-    troubles.pop().map_or(Ok(()), |trouble| Err(trouble.into()))
+    of_bus.map_or(Ok(()), |trouble| Err(trouble.into()))
 }
 
 /// Shows people what is told.

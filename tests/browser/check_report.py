@@ -189,7 +189,8 @@ def shoot(page, folder):
 
 def main():
     journal, report = sys.argv[1:3]
-    lines = [json.loads(line) for line in Path(journal).read_text().splitlines()]
+    # The first line says what the run was made with.
+    lines = [json.loads(line) for line in Path(journal).read_text().splitlines()[1:]]
     with tempfile.TemporaryDirectory() as profile:
         page = browser(profile)
         try:

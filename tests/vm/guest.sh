@@ -18,10 +18,12 @@ chmod +x /bin/gapwatch
 # mark WORD: at most 8 characters, in a frame of their own.
 mark() { cansend vcan1 7F0#"$(printf %s "$1" | od -An -tx1 | tr -d ' \n')"; }
 
-# With CAN FD.
+# With CAN FD, and a queue of the length that is asked for.
 bus_up() {
   $ip link add "$1" type vcan
   $ip link set "$1" mtu 72
+  $ip link set "$1" txqueuelen "$queue"
+  $tc qdisc add dev "$1" root pfifo limit "$queue"
   $ip link set "$1" up
 }
 
@@ -159,6 +161,7 @@ plug_in() {
 }
 
 cp -r /share/* .
+queue=$(cat queue)
 echo nominal >showing
 modprobe vcan echo=1
 modprobe can-raw
@@ -210,8 +213,8 @@ sleep 1
 over first_format
 during busdown $ip link set vcan0 down
 over $ip link set vcan0 up
-during busfull $tc qdisc add dev vcan0 root tbf rate 1kbit burst 32 limit 64
-over $tc qdisc change dev vcan0 root tbf rate 1mbit burst 3200 limit 6400
+during busfull $tc qdisc replace dev vcan0 root tbf rate 1kbit burst 32 limit $((16 * queue))
+over $tc qdisc change dev vcan0 root tbf rate 1mbit burst 3200 limit $((72 * queue))
 during busgone $ip link del vcan0
 over bus_up vcan0
 during foreign cansend vcan0 5D1#0000000000000000
@@ -233,6 +236,14 @@ for frame in $(cat clear); do
   sleep .3
 done
 grep VmRSS /proc/$monitor/status >>memory.log
+# Nobody acknowledges: a frame in 16 s leaves the queue, and the others stay in it. Meanwhile the picture is black.
+$tc qdisc replace dev vcan0 root tbf rate 8bit burst 16 limit $((16 * queue))
+mark unacked
+show black
+sleep 4
+mark acked
+$tc qdisc change dev vcan0 root tbf rate 1mbit burst 3200 limit $((72 * queue))
+sleep 1
 mark killed
 kill -KILL $monitor
 sleep .6
