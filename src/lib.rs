@@ -77,5 +77,7 @@ pub mod report;
 
 // What all of them use.
 pub mod journal;
+pub mod json_fault;
+pub mod toml_keys;
 pub mod undefined;
 pub mod whole_file;

@@ -67,7 +67,8 @@ impl WholeFile {
             .unwrap_or(Path::new("."));
         let file = tempfile::Builder::new()
             .permissions(PermissionsExt::from_mode(0o644))
-            .tempfile_in(folder)?;
+            .tempfile_in(folder)
+            .map_err(|error| unnamed(&error))?;
         Ok(Self(Target::Beside {
             file: BufWriter::new(file),
             place,
@@ -105,6 +106,15 @@ impl Write for WholeFile {
     }
 }
 
+/// An error of `tempfile` without the name of the temporary file or folder, which nobody typed.
+pub fn unnamed(error: &io::Error) -> io::Error {
+    let said = error.to_string();
+    let of_system = said
+        .split_once(" at path \"")
+        .map_or(said.as_str(), |(before, _)| before);
+    io::Error::new(error.kind(), of_system)
+}
+
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
@@ -135,7 +145,11 @@ mod tests {
             .unwrap();
         assert!(!Path::new("/dev/null").metadata().unwrap().is_file());
         assert!(WholeFile::create(tempfile::tempdir().unwrap().path()).is_err());
-        assert!(WholeFile::create(Path::new("/no/such/folder/file")).is_err());
+        let error = WholeFile::create(Path::new("/no/such/folder/file"))
+            .err()
+            .unwrap();
+        assert_eq!(error.kind(), io::ErrorKind::NotFound);
+        assert_eq!(error.to_string(), "No such file or directory (os error 2)");
     }
 
     #[test]

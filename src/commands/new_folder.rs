@@ -5,6 +5,7 @@ use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
+use gapwatch::whole_file::unnamed;
 use tempfile::TempDir;
 
 /// A folder under another name until it is complete; removed if that never happens.
@@ -34,6 +35,7 @@ impl NewFolder {
             .prefix(".gapwatch-")
             .permissions(PermissionsExt::from_mode(0o755))
             .tempdir_in(parent)
+            .map_err(|error| unnamed(&error))
             .with_context(|| format!("cannot create {}", target.display()))?;
         Ok(Self { folder, target })
     }

@@ -9,6 +9,7 @@ use serde_json::{Map, Value};
 
 use super::About;
 use crate::alarm::AlarmState;
+use crate::json_fault::fault;
 
 /// Longest line that is read: a thousand times a usual one.
 const LINE_MAX: u64 = 1 << 20;
@@ -132,7 +133,10 @@ pub fn read(path: &Path) -> Result<Reading, ReadError> {
         }
         if let Some(about) = object.get("about") {
             reading.about = Some(serde_json::from_value(about.clone()).map_err(|error| {
-                refused((format!("about: {error}"), "texts and numbers".to_owned()))
+                refused((
+                    format!("about: {}", fault(&error)),
+                    "texts and numbers".to_owned(),
+                ))
             })?);
         }
         reading.entries.push(entry);

@@ -21,7 +21,7 @@ use crate::attention::common_size;
 use crate::calibration::{Drive, LabelledDrive, LabelledMeans};
 use crate::energies::BlockMeans;
 use crate::reference::ModelFingerprint;
-use crate::whole_file::WholeFile;
+use crate::whole_file::{WholeFile, unnamed};
 
 const MAGIC: &[u8; 16] = b"gapwatch-survey\n";
 const VERSION: u32 = 1;
@@ -137,7 +137,10 @@ impl SurveyStore {
         let folder = tempfile::Builder::new()
             .prefix("gapwatch-surveys-")
             .tempdir_in(&place)
-            .map_err(|error| StoreError::File { path: place, error })?;
+            .map_err(|error| StoreError::File {
+                error: unnamed(&error),
+                path: place,
+            })?;
         Ok(Self {
             folders: vec![folder.path().to_owned()],
             _temporary: Some(folder),

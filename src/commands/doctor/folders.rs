@@ -2,6 +2,8 @@
 
 use std::path::Path;
 
+use gapwatch::whole_file::unnamed;
+
 use super::Check;
 
 /// The only folder that the service may write, made when it starts; and where its boards are.
@@ -46,7 +48,7 @@ pub fn check(what: &'static str, place: Option<&Path>, board: &Path) -> Check {
         Ok(_) => Check::pass(what, format!("{} can be written", place.display())),
         Err(error) => Check::fail(
             what,
-            format!("{}: {error}", folder.display()),
+            format!("{}: {}", folder.display(), unnamed(&error)),
             "make the folder, let this user write it (in the service: StateDirectory), or name another",
         ),
     }
