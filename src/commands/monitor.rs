@@ -255,8 +255,10 @@ fn all_frames(
         if !live {
             std::thread::sleep(frame.captured_at.saturating_sub(began.elapsed()));
         }
-        // Time never goes back, also when a camera turns out to have been faster than was known.
-        last = last.max(began.elapsed().saturating_sub(source.waited()));
+        // Later than the frame before, also when this thread was held up between two looks at the clock: a camera whose
+        // frames are not in order says so by their numbers.
+        let taken = began.elapsed().saturating_sub(source.waited());
+        last = taken.max(last + Duration::from_nanos(1));
         frame.captured_at = last;
         newest.put(frame);
     }
