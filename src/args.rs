@@ -1,6 +1,9 @@
 //! The command line as typed.
 
+use std::fmt::Display;
+use std::ops::RangeInclusive;
 use std::path::PathBuf;
+use std::str::FromStr;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use gapwatch::calibration::{PaperBinning, Temperature};
@@ -79,10 +82,10 @@ pub struct ReplayArgs {
     #[arg(long, value_name = "DIR")]
     pub evidence: Option<PathBuf>,
     /// Most events that the folder of evidence holds; the oldest go first
-    #[arg(long, value_name = "N", default_value_t = 200, requires = "evidence", value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    #[arg(long, value_name = "N", default_value_t = 200, requires = "evidence", value_parser = whole::<u32>(1..=100_000))]
     pub evidence_events: u32,
     /// Most megabytes that it holds
-    #[arg(long, value_name = "MB", default_value_t = 256, requires = "evidence", value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
+    #[arg(long, value_name = "MB", default_value_t = 256, requires = "evidence", value_parser = whole::<u32>(1..=1_000_000))]
     pub evidence_mb: u32,
     /// Pace of the drive
     #[arg(long, value_enum, default_value = "max")]
@@ -108,7 +111,7 @@ pub struct MonitorArgs {
     #[arg(long, value_name = "FILE.toml")]
     pub board: PathBuf,
     /// Stop after this many seconds
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(long, value_name = "N", value_parser = whole::<u32>(1..=u32::MAX))]
     pub seconds: Option<u32>,
     /// Journal to write, JSON lines; it appears when the monitor stops
     #[arg(long, value_name = "FILE")]
@@ -233,10 +236,10 @@ pub struct CompareArgs {
     #[arg(long, value_name = "T", default_value = "10", value_parser = temperature)]
     pub temperature: Temperature,
     /// Levels of the metric paper's histogram
-    #[arg(long, value_name = "N", default_value_t = PaperBinning::PUBLISHED.levels)]
+    #[arg(long, value_name = "N", default_value_t = PaperBinning::PUBLISHED.levels, value_parser = whole::<usize>(2..=65_536))]
     pub levels: usize,
     /// First level that the metric paper counts
-    #[arg(long, value_name = "N", default_value_t = PaperBinning::PUBLISHED.first)]
+    #[arg(long, value_name = "N", default_value_t = PaperBinning::PUBLISHED.first, value_parser = whole::<usize>(0..=65_536))]
     pub first_level: usize,
     #[command(flatten)]
     pub model: ModelArgs,
@@ -277,7 +280,7 @@ pub struct InspectArgs {
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
     /// How many frames, evenly spread over the source
-    #[arg(long, value_name = "N", default_value_t = 12, value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    #[arg(long, value_name = "N", default_value_t = 12, value_parser = whole::<u32>(1..=100_000))]
     pub count: u32,
     /// Reference to compare with; left out = the one inside the program, if it fits the model
     #[arg(long, value_name = "FILE")]
@@ -315,13 +318,13 @@ pub struct EvaluateArgs {
     #[arg(long, value_name = "NAME", default_value_t = Look::Sim)]
     pub look: Look,
     /// Drives an event
-    #[arg(long, value_name = "N", conflicts_with = "quick", value_parser = clap::value_parser!(u32).range(1..=10_000))]
+    #[arg(long, value_name = "N", conflicts_with = "quick", value_parser = whole::<u32>(1..=10_000))]
     pub drives: Option<u32>,
     /// Hours of nominal drives
-    #[arg(long, value_name = "HOURS", conflicts_with = "quick", value_parser = clap::value_parser!(u32).range(1..=10_000))]
+    #[arg(long, value_name = "HOURS", conflicts_with = "quick", value_parser = whole::<u32>(1..=10_000))]
     pub hours: Option<u32>,
     /// Scenes a look, condition and severity
-    #[arg(long, value_name = "N", conflicts_with = "quick", value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    #[arg(long, value_name = "N", conflicts_with = "quick", value_parser = whole::<u32>(1..=100_000))]
     pub scenes: Option<u32>,
     /// Folder of image sets for field_sets and paper_table; calibration/README.md lists what it holds
     #[arg(long, value_name = "DIR")]
@@ -571,7 +574,7 @@ impl ModelArgs {
     }
 }
 
-fn numbers<T: std::str::FromStr, const N: usize>(text: &str) -> Result<[T; N], String> {
+fn numbers<T: FromStr, const N: usize>(text: &str) -> Result<[T; N], String> {
     let numbers: Option<Vec<T>> = text
         .split(',')
         .map(|number| number.trim().parse().ok())
@@ -594,9 +597,30 @@ fn rate(text: &str) -> Result<f64, String> {
 
 fn metrics(text: &str) -> Result<Metrics, String> {
     if text == "all" {
-        Ok(Metrics(Metric::of_sets()))
-    } else {
-        text.parse().map(|metric| Metrics(vec![metric]))
+        return Ok(Metrics(Metric::of_sets()));
+    }
+    let Ok(metric) = text.parse::<Metric>() else {
+        let names: Vec<String> = Metric::of_sets().iter().map(Metric::to_string).collect();
+        return Err(format!("wanted all, or one of {}", names.join(", ")));
+    };
+    metric.check_of_sets().map_err(|why| why.to_string())?;
+    Ok(Metrics(vec![metric]))
+}
+
+/// A whole number in a range, refused in plain words.
+fn whole<T>(range: RangeInclusive<T>) -> impl Fn(&str) -> Result<T, String> + Clone + Send + Sync
+where
+    T: FromStr + PartialOrd + Display + Clone + Send + Sync + 'static,
+{
+    move |text| {
+        let number = text.parse().ok().filter(|number| range.contains(number));
+        number.ok_or_else(|| {
+            format!(
+                "wanted a whole number from {} to {}",
+                range.start(),
+                range.end()
+            )
+        })
     }
 }
 
@@ -636,10 +660,10 @@ pub struct SceneArgs {
     #[arg(long, value_name = "ELEMENT")]
     pub without: Vec<Element>,
     /// How many scenes
-    #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
+    #[arg(long, value_name = "N", default_value_t = 10, value_parser = whole::<u32>(1..=1_000_000))]
     pub count: u32,
     /// Seed of the set
-    #[arg(long, value_name = "S", default_value_t = 1, value_parser = clap::value_parser!(u32).range(..i64::from(u32::MAX)))]
+    #[arg(long, value_name = "S", default_value_t = 1, value_parser = whole::<u32>(0..=u32::MAX - 1))]
     pub seed: u32,
     /// Condition over all scenes, KIND:SEVERITY; may be repeated
     #[arg(long, value_name = "KIND:SEVERITY")]
@@ -667,7 +691,7 @@ pub struct PictureSize {
     pub height: u32,
 }
 
-impl std::str::FromStr for PictureSize {
+impl FromStr for PictureSize {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {

@@ -8,13 +8,11 @@ mod evidence;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use serde::Deserialize;
-
 use crate::can::speed::SpeedSignal;
-use crate::can::{CanSettings, LARGEST_ID, MessageIds, Sink};
+use crate::can::{CanSettings, CanSettingsError, LARGEST_ID, MessageIds, Sink};
+use crate::toml_keys::{self, Document, Keys, Kind, Wrong};
 use crate::whole_file::read_text;
 
-use evidence::EvidenceTable;
 pub use evidence::{EvidenceBoard, KEEP};
 
 /// Largest file.
@@ -135,215 +133,65 @@ pub struct Budget {
     pub memory_mib: f64,
 }
 
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct File {
-    camera: CameraTable,
-    can: CanTable,
-    #[serde(default)]
-    monitor: MonitorTable,
-    evidence: Option<EvidenceTable>,
-    #[serde(default)]
-    budget: BudgetTable,
+/// How a camera is written, of a device that is named without that; `None` of any other source.
+pub fn camera_of(source: &str) -> Option<String> {
+    source
+        .starts_with("/dev/video")
+        .then(|| format!("v4l2:{source}"))
 }
 
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct CameraTable {
-    source: String,
-    format: Option<Format>,
-    size: Option<Size>,
-    fps: Option<Rate>,
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct CanTable {
-    sink: Word,
-    listen_s: Option<Listen>,
-    status: Option<Ids>,
-    health: Option<Ids>,
-    detail: Option<Ids>,
-    clear: Option<Ids>,
-    status_period_ms: Option<u16>,
-    health_period_ms: Option<u16>,
-    detail_period_ms: Option<u16>,
-    #[serde(default)]
-    fd: bool,
-    speed: Option<Speed>,
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct Speed {
-    id: CanId,
-    start_bit: u16,
-    length: u16,
-    #[serde(default)]
-    big_endian: bool,
-    factor: f64,
-    #[serde(default)]
-    offset: f64,
-    parked_below_kmh: Option<f64>,
-    parked_after_s: Option<Seconds>,
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct Ids {
-    id: CanId,
-    /// The identifier, if left out.
-    data_id: Option<u16>,
-}
-
-#[derive(Default, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct MonitorTable {
-    reference: Option<PathBuf>,
-    model: Option<PathBuf>,
-    #[serde(default)]
-    strict: bool,
-    rate_hz: Option<Rate>,
-    idle_rate_hz: Option<Rate>,
-}
-
-#[derive(Default, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct BudgetTable {
-    frame_ms: Option<Amount>,
-    memory_mib: Option<Amount>,
-}
-
-#[derive(Clone, Copy, Deserialize)]
-#[serde(try_from = "f64")]
-struct Amount(f64);
-
-impl TryFrom<f64> for Amount {
-    type Error = String;
-
-    fn try_from(amount: f64) -> Result<Self, String> {
-        if (1.0..=AMOUNT_MAX).contains(&amount) {
-            Ok(Self(amount))
-        } else {
-            Err(format!("{amount}; wanted a number from 1 to {AMOUNT_MAX}"))
+/// Words of `[camera]` source.
+fn source() -> Kind<String> {
+    toml_keys::text("v4l2:/dev/videoN, or a rendered or recorded drive").or_say(|source| {
+        match camera_of(&source) {
+            Some(camera) => Err(format!("a camera is written {camera:?}, found {source:?}")),
+            None if source == "v4l2:" => {
+                Err("\"v4l2:\" names no device; wanted one, as in \"v4l2:/dev/video0\"".to_owned())
+            }
+            None => Ok(source),
         }
-    }
+    })
 }
 
-#[derive(Clone, Deserialize)]
-#[serde(try_from = "String")]
-struct Word(Sink);
-
-impl TryFrom<String> for Word {
-    type Error = String;
-
-    fn try_from(word: String) -> Result<Self, String> {
-        Sink::parse(&word).map(Self).map_err(|e| e.to_string())
-    }
-}
-
-#[derive(Clone, Deserialize)]
-#[serde(try_from = "String")]
-struct Format(String);
-
-impl TryFrom<String> for Format {
-    type Error = String;
-
-    fn try_from(word: String) -> Result<Self, String> {
-        if CAMERA_FORMATS.contains(&word.as_str()) {
-            Ok(Self(word))
-        } else {
-            Err(format!(
-                "format {word:?}; wanted one of {}",
-                CAMERA_FORMATS.join(", ")
-            ))
-        }
-    }
-}
-
-#[derive(Clone, Deserialize)]
-#[serde(try_from = "String")]
-struct Size(u32, u32);
-
-impl TryFrom<String> for Size {
-    type Error = String;
-
-    fn try_from(word: String) -> Result<Self, String> {
+/// Width and height, pixels.
+fn size() -> Kind<(u32, u32)> {
+    toml_keys::text("\"WIDTHxHEIGHT\", each from 16 to 8192").of(|word| {
         let side = |side: &str| side.parse().ok().filter(|s| (16..=8_192).contains(s));
-        word.split_once('x')
-            .and_then(|(width, height)| Some(Self(side(width)?, side(height)?)))
-            .ok_or_else(|| format!("size {word:?}; wanted WIDTHxHEIGHT, each from 16 to 8192"))
-    }
+        let (width, height) = word.split_once('x')?;
+        Some((side(width)?, side(height)?))
+    })
 }
 
-#[derive(Clone, Copy, Deserialize)]
-#[serde(try_from = "f64")]
-struct Rate(f64);
-
-impl TryFrom<f64> for Rate {
-    type Error = String;
-
-    fn try_from(hz: f64) -> Result<Self, String> {
-        if (0.1..=RATE_MAX_HZ).contains(&hz) {
-            Ok(Self(hz))
-        } else {
-            Err(format!(
-                "{hz} a second; wanted a number from 0.1 to {RATE_MAX_HZ}"
-            ))
-        }
-    }
+fn file_name() -> Kind<PathBuf> {
+    toml_keys::text("the name of a file").of(|name| Some(PathBuf::from(name)))
 }
 
-#[derive(Clone, Copy, Deserialize)]
-#[serde(try_from = "f64")]
-struct Seconds(Duration);
-
-impl TryFrom<f64> for Seconds {
-    type Error = String;
-
-    fn try_from(seconds: f64) -> Result<Self, String> {
-        if (0.0..=SECONDS_MAX).contains(&seconds) {
-            Ok(Self(Duration::from_secs_f64(seconds)))
-        } else {
-            Err(format!(
-                "{seconds} s; wanted seconds from 0 to {SECONDS_MAX}"
-            ))
-        }
-    }
+/// Frames a second.
+fn rate() -> Kind<f64> {
+    toml_keys::number(0.1..=RATE_MAX_HZ, " a second")
 }
 
-#[derive(Clone, Copy, Deserialize)]
-#[serde(try_from = "f64")]
-struct Listen(Seconds);
-
-impl TryFrom<f64> for Listen {
-    type Error = String;
-
-    fn try_from(seconds: f64) -> Result<Self, String> {
-        if seconds > LISTEN_MAX {
-            return Err(format!(
-                "{seconds} s of listening; wanted at most {LISTEN_MAX}"
-            ));
-        }
-        Seconds::try_from(seconds).map(Self)
-    }
+fn seconds(most: f64) -> Kind<Duration> {
+    toml_keys::number(0.0..=most, " seconds").of(|s| Some(Duration::from_secs_f64(s)))
 }
 
-#[derive(Clone, Copy, Deserialize)]
-#[serde(try_from = "u32")]
-struct CanId(u16);
+/// Milliseconds or MiB.
+fn amount() -> Kind<f64> {
+    toml_keys::number(1.0..=AMOUNT_MAX, "")
+}
 
-impl TryFrom<u32> for CanId {
-    type Error = String;
+fn can_id() -> Kind<u16> {
+    toml_keys::whole(0..=LARGEST_ID, "")
+        .wanting(format!("an identifier of 11 bits, 0 to {LARGEST_ID:#X}"))
+}
 
-    fn try_from(id: u32) -> Result<Self, String> {
-        match u16::try_from(id) {
-            Ok(id) if id <= LARGEST_ID => Ok(Self(id)),
-            _ => Err(format!(
-                "CAN id {id:#X}; wanted 11 bits, at most {LARGEST_ID:#X}"
-            )),
-        }
-    }
+/// A period, longer than `above`.
+fn milliseconds(above: Duration) -> Kind<Duration> {
+    let least = u16::try_from(above.as_millis())
+        .unwrap_or(u16::MAX)
+        .saturating_add(1);
+    toml_keys::whole(least..=u16::MAX, " milliseconds")
+        .of(|ms| Some(Duration::from_millis(ms.into())))
 }
 
 impl Board {
@@ -356,104 +204,180 @@ impl Board {
             path: path.to_owned(),
             error,
         })?;
-        let wrong = |line: usize, what: String| BoardError::Wrong {
-            path: path.to_owned(),
-            line,
-            what,
+        Self::parse(&text, path.parent().unwrap_or(Path::new(""))).map_err(|wrong| {
+            BoardError::Wrong {
+                path: path.to_owned(),
+                line: wrong.line,
+                what: wrong.what,
+            }
+        })
+    }
+
+    fn parse(text: &str, folder: &Path) -> Result<Self, Wrong> {
+        let beside = |named: PathBuf| folder.join(named);
+        let document = Document::parse(text)?;
+        let file = document.keys(&["camera", "can", "monitor", "evidence", "budget"])?;
+        let camera = file.need_table("camera", &["source", "format", "size", "fps"])?;
+        let camera = CameraBoard {
+            source: camera.need("source", source())?,
+            wish: CameraWish {
+                format: camera.get("format", toml_keys::word(&CAMERA_FORMATS))?,
+                size: camera.get("size", size())?,
+                fps: camera.get("fps", rate())?,
+            },
         };
-        let file: File = toml::from_str(&text).map_err(|error| {
-            let at = error.span().map_or(0, |span| span.start).min(text.len());
-            let line = 1 + text.as_bytes()[..at]
-                .iter()
-                .filter(|&&b| b == b'\n')
-                .count();
-            wrong(line, error.message().replace('\n', " "))
-        })?;
-        let settings = file.can.settings();
-        settings.check().map_err(|error| {
-            let line = text.lines().position(|line| line.trim() == "[can]");
-            wrong(1 + line.unwrap_or(0), format!("in [can]: {error}"))
-        })?;
-        let rate_hz = file.monitor.rate_hz.map_or(RATE_HZ, |rate| rate.0);
-        let idle_rate_hz = file.monitor.idle_rate_hz.map_or(rate_hz, |rate| rate.0);
-        if idle_rate_hz > rate_hz {
-            let line = text.lines().position(|line| line.contains("idle_rate_hz"));
-            let found =
-                format!("idle_rate_hz = {idle_rate_hz}, wanted at most rate_hz = {rate_hz}");
-            return Err(wrong(1 + line.unwrap_or(0), found));
-        }
-        let beside = |named: PathBuf| path.parent().unwrap_or(Path::new("")).join(named);
+        let can = can(&file)?;
+        let monitor = MonitorBoard::of(&file, beside)?;
+        let budget = file.table("budget", &["frame_ms", "memory_mib"])?;
+        let allowed = |key| match &budget {
+            Some(budget) => budget.get(key, amount()),
+            None => Ok(None),
+        };
         Ok(Self {
-            camera: CameraBoard {
-                source: file.camera.source,
-                wish: CameraWish {
-                    format: file.camera.format.map(|format| format.0),
-                    size: file.camera.size.map(|size| (size.0, size.1)),
-                    fps: file.camera.fps.map(|fps| fps.0),
-                },
-            },
-            can: CanBoard {
-                sink: file.can.sink.0,
-                settings,
-                listen: file.can.listen_s.map_or(LISTEN, |listen| listen.0.0),
-            },
-            monitor: MonitorBoard {
-                reference: file.monitor.reference.map(beside),
-                model: file.monitor.model.map(beside),
-                strict: file.monitor.strict,
-                rate_hz,
-                idle_rate_hz,
-            },
-            evidence: file.evidence.map(|table| EvidenceBoard {
-                quota: table.quota(),
-                folder: beside(table.folder),
-            }),
+            camera,
+            can,
+            evidence: evidence::read(&file, beside)?,
             budget: Budget {
-                frame: file
-                    .budget
-                    .frame_ms
-                    .map_or(Duration::from_secs_f64(FRAME_SHARE / rate_hz), |ms| {
-                        Duration::from_secs_f64(ms.0 / 1e3)
-                    }),
-                memory_mib: file.budget.memory_mib.map_or(MEMORY_MIB, |mib| mib.0),
+                frame: match allowed("frame_ms")? {
+                    Some(ms) => Duration::from_secs_f64(ms / 1e3),
+                    None => Duration::from_secs_f64(FRAME_SHARE / monitor.rate_hz),
+                },
+                memory_mib: allowed("memory_mib")?.unwrap_or(MEMORY_MIB),
             },
+            monitor,
         })
     }
 }
 
-impl CanTable {
-    fn settings(&self) -> CanSettings {
-        let default = CanSettings::default();
-        let ids = |table: &Option<Ids>, default| {
-            table.as_ref().map_or(default, |ids| MessageIds {
-                id: ids.id.0,
-                data_id: ids.data_id.unwrap_or(ids.id.0),
-            })
+impl MonitorBoard {
+    /// `[monitor]`; without it, what is left out.
+    fn of(file: &Keys<'_>, beside: impl Fn(PathBuf) -> PathBuf) -> Result<Self, Wrong> {
+        let known = ["reference", "model", "strict", "rate_hz", "idle_rate_hz"];
+        let Some(table) = file.table("monitor", &known)? else {
+            return Ok(Self {
+                reference: None,
+                model: None,
+                strict: false,
+                rate_hz: RATE_HZ,
+                idle_rate_hz: RATE_HZ,
+            });
         };
-        let period =
-            |ms: Option<u16>, default| ms.map_or(default, |ms| Duration::from_millis(ms.into()));
-        CanSettings {
-            status: ids(&self.status, default.status),
-            health: ids(&self.health, default.health),
-            detail: ids(&self.detail, default.detail),
-            clear: ids(&self.clear, default.clear),
-            status_period: period(self.status_period_ms, default.status_period),
-            health_period: period(self.health_period_ms, default.health_period),
-            detail_period: period(self.detail_period_ms, default.detail_period),
-            fd: self.fd,
-            speed: self.speed.as_ref().map(|speed| SpeedSignal {
-                id: speed.id.0,
-                start_bit: speed.start_bit,
-                length: speed.length,
-                big_endian: speed.big_endian,
-                factor: speed.factor,
-                offset: speed.offset,
-                parked_below_kmh: speed.parked_below_kmh.unwrap_or(PARKED_BELOW_KMH),
-                parked_after: speed.parked_after_s.map_or(PARKED_AFTER, |after| after.0),
-            }),
-            ..default
+        let rate_hz = table.get("rate_hz", rate())?.unwrap_or(RATE_HZ);
+        let idle_rate_hz = table.get("idle_rate_hz", rate())?.unwrap_or(rate_hz);
+        if idle_rate_hz > rate_hz {
+            return Err(Wrong {
+                line: table.line_of("idle_rate_hz"),
+                what: format!("idle_rate_hz = {idle_rate_hz}; wanted at most rate_hz = {rate_hz}"),
+            });
         }
+        Ok(Self {
+            reference: table.get("reference", file_name())?.map(&beside),
+            model: table.get("model", file_name())?.map(&beside),
+            strict: table.get("strict", toml_keys::truth())?.unwrap_or(false),
+            rate_hz,
+            idle_rate_hz,
+        })
     }
+}
+
+/// `[can]`.
+fn can(file: &Keys<'_>) -> Result<CanBoard, Wrong> {
+    let known = [
+        "sink",
+        "listen_s",
+        "status",
+        "health",
+        "detail",
+        "clear",
+        "status_period_ms",
+        "health_period_ms",
+        "detail_period_ms",
+        "fd",
+        "speed",
+    ];
+    let can = file.need_table("can", &known)?;
+    let sink = toml_keys::text("log:FILE, log:-, socketcan:IFACE or none")
+        .or_say(|word| Sink::parse(&word).map_err(|error| error.to_string()));
+    let default = CanSettings::default();
+    let ids = |key, default| match can.table(key, &["id", "data_id"])? {
+        None => Ok(default),
+        Some(table) => {
+            let id = table.need("id", can_id())?;
+            let data_id = table.get("data_id", toml_keys::whole(0..=u16::MAX, ""))?;
+            Ok(MessageIds {
+                id,
+                // The identifier, if left out.
+                data_id: data_id.unwrap_or(id),
+            })
+        }
+    };
+    let period = |key, above, default| {
+        let period = can.get(key, milliseconds(above))?;
+        Ok(period.unwrap_or(default))
+    };
+    let speed = speed(&can)?;
+    let settings = CanSettings {
+        status: ids("status", default.status)?,
+        health: ids("health", default.health)?,
+        detail: ids("detail", default.detail)?,
+        clear: ids("clear", default.clear)?,
+        status_period: period(
+            "status_period_ms",
+            default.minimum_gap,
+            default.status_period,
+        )?,
+        health_period: period("health_period_ms", Duration::ZERO, default.health_period)?,
+        detail_period: period("detail_period_ms", Duration::ZERO, default.detail_period)?,
+        fd: can.get("fd", toml_keys::truth())?.unwrap_or(false),
+        speed,
+        ..default
+    };
+    settings.check().map_err(|error| Wrong {
+        line: match error {
+            CanSettingsError::Speed(_) => can.line_of("speed"),
+            _ => can.line(),
+        },
+        what: format!("in [can]: {error}"),
+    })?;
+    Ok(CanBoard {
+        sink: can.need("sink", sink)?,
+        settings,
+        listen: can.get("listen_s", seconds(LISTEN_MAX))?.unwrap_or(LISTEN),
+    })
+}
+
+/// `[can.speed]`.
+fn speed(can: &Keys<'_>) -> Result<Option<SpeedSignal>, Wrong> {
+    let known = [
+        "id",
+        "start_bit",
+        "length",
+        "big_endian",
+        "factor",
+        "offset",
+        "parked_below_kmh",
+        "parked_after_s",
+    ];
+    let Some(speed) = can.table("speed", &known)? else {
+        return Ok(None);
+    };
+    let number = |key, default: f64| {
+        let number = speed.get(key, toml_keys::finite())?;
+        Ok(number.unwrap_or(default))
+    };
+    let after = speed.get("parked_after_s", seconds(SECONDS_MAX))?;
+    Ok(Some(SpeedSignal {
+        id: speed.need("id", can_id())?,
+        start_bit: speed.need("start_bit", toml_keys::whole(0..=63, ""))?,
+        length: speed.need("length", toml_keys::whole(1..=32, " bits"))?,
+        big_endian: speed
+            .get("big_endian", toml_keys::truth())?
+            .unwrap_or(false),
+        factor: speed.need("factor", toml_keys::finite())?,
+        offset: number("offset", 0.0)?,
+        parked_below_kmh: number("parked_below_kmh", PARKED_BELOW_KMH)?,
+        parked_after: after.unwrap_or(PARKED_AFTER),
+    }))
 }
 
 #[cfg(test)]
@@ -538,10 +462,20 @@ mod tests {
     #[test]
     fn what_is_not_understood_is_refused_with_its_line_and_what_would_do() {
         for (line, from, to, said) in [
-            (2, "source", "sources", "expected one of `source`"),
-            (4, "\"none\"", "\"can0\"", "socketcan:IFACE"),
-            (4, "\"none\"", "3", "string"),
-            (1, "[camera]", "[camara]", "expected one of `camera`"),
+            (
+                2,
+                "source",
+                "sources",
+                "unknown key sources in [camera]; wanted source, format, size or fps",
+            ),
+            (4, "\"none\"", "\"can0\"", "written socketcan:can0"),
+            (4, "\"none\"", "3", "sink = 3; wanted log:FILE"),
+            (
+                1,
+                "[camera]",
+                "[camara]",
+                "unknown key camara; wanted camera, can, monitor, evidence or budget",
+            ),
             (3, "[can]", "size = \"9x9\"\n[can]", "WIDTHxHEIGHT"),
             (3, "[can]", "format = \"H264\"\n[can]", "YUYV, NV12"),
             (3, "[can]", "fps = 0.0\n[can]", "0.1 to 240"),
@@ -552,8 +486,8 @@ mod tests {
                 "at most rate_hz = 10",
             ),
             (4, "sink", "status = { id = 0x800 }\nsink", "0x7FF"),
-            (4, "sink", "listen_s = -1.0\nsink", "seconds from 0"),
-            (4, "sink", "listen_s = 31.0\nsink", "at most 30"),
+            (4, "sink", "listen_s = -1.0\nsink", "from 0 to 30 seconds"),
+            (4, "sink", "listen_s = 31.0\nsink", "from 0 to 30 seconds"),
             (
                 2,
                 "[camera]",
@@ -561,9 +495,14 @@ mod tests {
                 "1 to 100000",
             ),
             (3, "sink", "status = { id = 0x5D1 }\nsink", "two messages"),
-            (3, "sink", "status_period_ms = 0\nsink", "period of 0 ms"),
             (
-                3,
+                4,
+                "sink",
+                "status_period_ms = 0\nsink",
+                "from 21 to 65535 milliseconds",
+            ),
+            (
+                4,
                 "sink",
                 "speed = { id = 0x1A0, start_bit = 60, length = 8, factor = 1.0 }\nsink",
                 "8 bits from bit 60",
@@ -581,5 +520,152 @@ mod tests {
             assert!(!error.contains('\n'), "{error}");
         }
         assert!(read("").unwrap_err().contains("camera"));
+    }
+
+    #[test]
+    fn every_key_answers_other_kinds_and_ranges_in_plain_words() {
+        let id = "wanted an identifier of 11 bits, 0 to 0x7FF";
+        let speed = "id = 1, start_bit = 0, length = 8, factor = 1.0";
+        let in_speed = |rest: &str| format!("speed = {{ {speed}, {rest} }}");
+        let monitor = "[monitor]\n";
+        let evidence = "[evidence]\nfolder = \"seen\"\n";
+        for (lines, said) in [
+            (
+                "status = 3".to_owned(),
+                "status = 3; wanted a table [can.status] with id or data_id",
+            ),
+            ("clear = { id = \"a\" }".to_owned(), id),
+            ("health = { id = -1 }".to_owned(), id),
+            ("detail = {}".to_owned(), "no id in [can.detail]"),
+            (
+                "status = { id = 1, data_id = 70000 }".to_owned(),
+                "from 0 to 65535",
+            ),
+            (
+                "status = { id = 1, of = 1 }".to_owned(),
+                "unknown key of in [can.status]",
+            ),
+            (
+                "status_period_ms = 20".to_owned(),
+                "from 21 to 65535 milliseconds",
+            ),
+            (
+                "health_period_ms = 0".to_owned(),
+                "from 1 to 65535 milliseconds",
+            ),
+            (
+                "detail_period_ms = 0.5".to_owned(),
+                "detail_period_ms = 0.5; wanted a whole number",
+            ),
+            (
+                "listen_s = \"2\"".to_owned(),
+                "listen_s = \"2\"; wanted a number from 0 to 30 seconds",
+            ),
+            (
+                "fd = \"yes\"".to_owned(),
+                "fd = \"yes\"; wanted true or false",
+            ),
+            (
+                "speed = 3".to_owned(),
+                "speed = 3; wanted a table [can.speed] with id, start_bit",
+            ),
+            (
+                "speed = { id = 1 }".to_owned(),
+                "no start_bit in [can.speed]",
+            ),
+            (
+                in_speed("big_endian = 1"),
+                "big_endian = 1; wanted true or false",
+            ),
+            (
+                in_speed("offset = nan"),
+                "offset = nan; wanted a finite number",
+            ),
+            (
+                in_speed("parked_below_kmh = \"a\""),
+                "wanted a finite number",
+            ),
+            (in_speed("parked_below_kmh = 90"), "at most 10"),
+            (in_speed("parked_after_s = 61"), "from 0 to 60 seconds"),
+            (
+                format!("{monitor}reference = 1"),
+                "reference = 1; wanted the name of a file",
+            ),
+            (
+                format!("{monitor}model = \"\""),
+                "model = \"\"; wanted the name of a file",
+            ),
+            (
+                format!("{monitor}strict = 1"),
+                "strict = 1; wanted true or false",
+            ),
+            (
+                format!("{monitor}rate_hz = \"5\""),
+                "from 0.1 to 240 a second",
+            ),
+            (
+                format!("{monitor}idle_rate_hz = 0"),
+                "from 0.1 to 240 a second",
+            ),
+            (
+                format!("{evidence}events = 1.5"),
+                "events = 1.5; wanted a whole number",
+            ),
+            (
+                format!("{evidence}megabytes = true"),
+                "megabytes = true; wanted a whole number",
+            ),
+            (format!("{evidence}days = 9999"), "from 1 to 3650"),
+            (
+                "[evidence]\nfolder = [\"a\"]".to_owned(),
+                "wanted the name of a folder",
+            ),
+            ("[evidence]\ndays = 3".to_owned(), "no folder in [evidence]"),
+            (
+                "[budget]\nframe_ms = []".to_owned(),
+                "frame_ms = []; wanted a number",
+            ),
+            (
+                "[budget]\nmemory_mib = 1e9".to_owned(),
+                "memory_mib = 1e9; wanted a number",
+            ),
+        ] {
+            let error = read(&format!("{LEAST}{lines}\n")).unwrap_err();
+            let table = error.contains("no folder")
+                || error.contains("no id")
+                || error.contains("no start_bit");
+            let line = 4 + lines.lines().count() - usize::from(table && lines.contains('\n'));
+            assert!(
+                error.contains(&format!("car.toml:{line}: ")),
+                "{line}: {error}"
+            );
+            assert!(error.contains(said), "{said}: {error}");
+        }
+        for (camera, said) in [
+            ("source = \"\"", "wanted v4l2:/dev/videoN"),
+            ("source = 3", "source = 3; wanted v4l2:/dev/videoN"),
+            (
+                "source = \"/dev/video0\"",
+                "a camera is written \"v4l2:/dev/video0\"",
+            ),
+            ("source = \"v4l2:\"", "names no device"),
+            ("source = \"random:\"\nformat = 3", "wanted one of YUYV"),
+            (
+                "source = \"random:\"\nsize = [1, 2]",
+                "wanted \"WIDTHxHEIGHT\"",
+            ),
+            (
+                "source = \"random:\"\nfps = \"a\"",
+                "from 0.1 to 240 a second",
+            ),
+        ] {
+            let error = read(&format!("[camera]\n{camera}\n[can]\nsink = \"none\"\n")).unwrap_err();
+            let line = 1 + camera.lines().count();
+            assert!(
+                error.contains(&format!("car.toml:{line}: ")),
+                "{line}: {error}"
+            );
+            assert!(error.contains(said), "{said}: {error}");
+        }
     }
 }

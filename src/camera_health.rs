@@ -9,8 +9,8 @@ use std::ops::Range;
 use std::time::Duration;
 
 use crate::encoder::Kernel;
-use crate::frame::Frame;
 use crate::frame::pixels::Pixels;
+use crate::frame::{Frame, Place};
 use crate::undefined::Undefined;
 
 /// A picture that stays the same for this long is frozen: the noise of a sensor changes every frame. The alarm waits as
@@ -129,12 +129,16 @@ impl CameraHealth {
 
     /// Numbers and times of frames only grow; gives the time since the frame before.
     fn check_order(&mut self, frame: &Frame) -> Result<Duration, Undefined> {
+        let place = |number, at| Place {
+            number,
+            at: Some(at),
+        };
         let (number, at) = (frame.sequence, frame.captured_at);
         match self.before.replace((number, at)) {
-            Some((before, then)) if number <= before || at < then => {
-                Err(Undefined::OutOfOrder { number, before })
+            Some((before, then)) if place(number, at).is_after(place(before, then)) => {
+                Ok(at - then)
             }
-            Some((_, then)) => Ok(at - then),
+            Some((before, _)) => Err(Undefined::OutOfOrder { number, before }),
             None => Ok(Duration::ZERO),
         }
     }
@@ -488,8 +492,11 @@ mod tests {
         assert!(!check(60, 600));
         assert!(check(61, 700));
         assert!(!check(62, 650));
-        // A coarse clock may stand for a frame.
-        assert!(check(63, 650));
+        // Neither may stand still.
+        assert!(!check(63, 650));
+        assert!(check(64, 651));
+        assert!(!check(64, 652));
+        assert!(check(65, 653));
     }
 
     #[test]

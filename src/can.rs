@@ -303,7 +303,11 @@ pub enum Sink {
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 pub enum SinkWordError {
     /// Not a kind of sink.
-    #[error("unknown CAN sink `{0}`: give log:FILE, log:-, socketcan:IFACE or none")]
+    #[error(
+        "unknown CAN sink `{word}`: give log:FILE, log:-, socketcan:IFACE or none{hint}",
+        word = .0,
+        hint = interface_hint(.0)
+    )]
     Unknown(String),
     /// `log:` without a file.
     #[error("the CAN sink `log:` names no file: give log:FILE, or log:- for standard output")]
@@ -377,6 +381,16 @@ impl Sink {
                 Ok(Box::new(sink))
             }
         }
+    }
+}
+
+/// How an interface is written, where a word looks like the name of one: can0, vcan1.
+fn interface_hint(word: &str) -> String {
+    let kind = word.trim_end_matches(|c: char| c.is_ascii_digit());
+    if kind != word && ["can", "vcan", "vxcan", "slcan"].contains(&kind) {
+        format!("; an interface is written socketcan:{word}")
+    } else {
+        String::new()
     }
 }
 
@@ -473,7 +487,13 @@ mod tests {
             assert!(line.contains(&format!("`{word}`")), "{line}");
             assert!(line.contains("give log:FILE"), "{line}");
             assert!(!line.contains('\n'), "{line}");
+            assert!(!line.contains("is written"), "{line}");
         }
+        let line = Sink::parse("vcan1").unwrap_err().to_string();
+        assert!(
+            line.ends_with("or none; an interface is written socketcan:vcan1"),
+            "{line}"
+        );
     }
 
     #[cfg(feature = "can")]

@@ -6,7 +6,7 @@ use crate::attention::EnergyMap;
 use crate::calibration::{PaperBinning, TapHistogram, counts_of, median};
 use crate::energies::BlockMeans;
 use crate::gap::moments::{self, EnergyNorm, Moments};
-use crate::gap::{Divergence, Metric, frechet};
+use crate::gap::{Divergence, Metric, NeedsLabels, frechet};
 use crate::histogram::{Binning, HistogramSum};
 use crate::survey::Survey;
 use crate::undefined::Undefined;
@@ -53,9 +53,12 @@ pub struct HistogramRecord {
     pub counts: Vec<u64>,
 }
 
-/// Images of a reference that cannot be judged.
+/// Sets that cannot be compared: by this metric, or because images of the reference cannot be judged.
 #[derive(Debug, thiserror::Error)]
 pub enum ComparisonError {
+    /// The metric compares no sets of images.
+    #[error(transparent)]
+    Metric(#[from] NeedsLabels),
     /// One of its images.
     #[error("reference {set}: image {number} in order cannot be judged: {why}")]
     Image {
@@ -174,22 +177,28 @@ impl<'a> Against<'a> {
         metric: Metric,
         paper: PaperBinning,
     ) -> Result<Self, ComparisonError> {
-        let Some(divergence) = metric.divergence() else {
-            let means = reference.every(reference.means(tap))?;
-            if metric == Metric::Frechet {
-                return Ok(Self::Means(means));
+        match (metric, metric.divergence()) {
+            (_, Some(divergence)) => {
+                let maps = reference.every(reference.maps(tap))?;
+                let maps: Vec<&EnergyMap> = maps.iter().collect();
+                TapHistogram::fit(&maps, metric, paper)
+                    .map(|fitted| Self::Histogram(divergence, fitted))
+                    .map_err(|why| reference.wrong(why))
             }
-            let maps = reference.every(reference.maps(tap))?;
-            let peaks = maps.iter().map(|map| map.range().1).collect();
-            let epsilon = median(peaks).unwrap_or(1.0) * moments::EPSILON_SHARE;
-            let norm = EnergyNorm::fit(epsilon, &moments_of(&means, epsilon), None);
-            return norm.map(Self::Norm).map_err(|why| reference.wrong(why));
-        };
-        let maps = reference.every(reference.maps(tap))?;
-        let maps: Vec<&EnergyMap> = maps.iter().collect();
-        TapHistogram::fit(&maps, metric, paper)
-            .map(|fitted| Self::Histogram(divergence, fitted))
-            .map_err(|why| reference.wrong(why))
+            (Metric::Frechet, None) => Ok(Self::Means(reference.every(reference.means(tap))?)),
+            (Metric::Mahalanobis, None) => {
+                let means = reference.every(reference.means(tap))?;
+                let maps = reference.every(reference.maps(tap))?;
+                let peaks = maps.iter().map(|map| map.range().1).collect();
+                let epsilon = median(peaks).unwrap_or(1.0) * moments::EPSILON_SHARE;
+                let norm = EnergyNorm::fit(epsilon, &moments_of(&means, epsilon), None);
+                norm.map(Self::Norm).map_err(|why| reference.wrong(why))
+            }
+            (
+                Metric::LaneRisk | Metric::Paper | Metric::Attention(_) | Metric::LogEnergy(_),
+                None,
+            ) => Err(NeedsLabels(metric).into()),
+        }
     }
 
     /// The metric's number of a set, how many of its images could be judged, and its counts if there are any.
@@ -235,7 +244,7 @@ fn moments_of(images: &[&BlockMeans], epsilon: f64) -> Moments {
 /// Compares sets with a reference by several metrics.
 ///
 /// # Errors
-/// When an image of the reference cannot be judged.
+/// When a metric needs labelled drives, or an image of the reference cannot be judged.
 pub fn compare(
     reference: &ImageSet,
     sets: &[ImageSet],
@@ -285,4 +294,30 @@ pub fn compare(
         }
     }
     Ok(all)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_needs_labels_is_refused_and_not_measured_by_another_metric() {
+        let sets = ImageSet {
+            name: "sets".to_owned(),
+            surveys: Vec::new(),
+        };
+        let taps = ["e2".to_owned()];
+        let compared = compare(
+            &sets,
+            &[],
+            &taps,
+            &[Metric::LaneRisk],
+            PaperBinning::PUBLISHED,
+        );
+        let refused = matches!(
+            compared,
+            Err(ComparisonError::Metric(NeedsLabels(Metric::LaneRisk)))
+        );
+        assert!(refused, "{compared:?}");
+    }
 }

@@ -22,7 +22,7 @@ use std::time::Duration;
 pub use compressed::jpeg;
 pub use names::{drives, ranges, sort_drives, stamp, template};
 
-use crate::board::CameraWish;
+use crate::board::{CameraWish, camera_of};
 use crate::rate::WantedPeriod;
 use crate::scene::{DriveSpec, SpecError};
 use pixels::Pixels;
@@ -121,6 +121,23 @@ pub enum SourceError {
     },
 }
 
+/// Where a frame stands among the others of its source.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Place {
+    /// Its number.
+    pub number: u64,
+    /// When it was taken; `None` where that is not known.
+    pub at: Option<Duration>,
+}
+
+impl Place {
+    /// The one rule of order: the number is larger than that of the frame `before`, and so is the time where both are known.
+    pub fn is_after(self, before: Self) -> bool {
+        let times = before.at.zip(self.at);
+        self.number > before.number && times.is_none_or(|(then, now)| now > then)
+    }
+}
+
 /// Gives frames in order of time.
 pub trait FrameSource: Send {
     /// The next frame, or `None` at the end.
@@ -142,7 +159,7 @@ pub trait FrameSource: Send {
         false
     }
 
-    /// How long the last frame of a live source had waited before it was given, as far as that is known.
+    /// How long ago the last frame of a live source was taken when it was given; zero where that is not known.
     fn waited(&self) -> Duration {
         Duration::ZERO
     }
@@ -214,12 +231,6 @@ pub fn open(name: &str) -> Result<Box<dyn FrameSource>, SourceError> {
     if let Some(spec) = name.strip_prefix("random:") {
         return Ok(Box::new(random::RandomSource::parse(name, spec)?));
     }
-    if name.starts_with("v4l2:") {
-        return Err(SourceError::Name {
-            found: name.to_owned(),
-            wanted: "a camera is watched by monitor; wanted scene:…, random:…, a folder, an image, a recording or a video".to_owned(),
-        });
-    }
     let FileName { path, fps, topic } = file_name(name)?;
     if path.is_dir() && topic.is_none() {
         return Ok(Box::new(images::ImageSource::folder(
@@ -260,8 +271,22 @@ struct FileName<'a> {
     topic: Option<&'a str>,
 }
 
-/// Splits `PATH?fps=N` or `PATH?topic=NAME`; a path that exists as typed is taken whole.
+/// Splits `PATH?fps=N` or `PATH?topic=NAME`; a path that exists as typed is taken whole. Refuses what is no file: nothing,
+/// and cameras.
 fn file_name(name: &str) -> Result<FileName<'_>, SourceError> {
+    let camera = camera_of(name).or_else(|| name.starts_with("v4l2:").then(|| name.to_owned()));
+    let wanted = "wanted scene:…, random:…, a folder, an image, a recording or a video";
+    if camera.is_some() || name.is_empty() {
+        let watched = |camera| {
+            format!(
+                "a camera is watched by gapwatch monitor, with source = {camera:?} in [camera] of a board file; {wanted}"
+            )
+        };
+        return Err(SourceError::Name {
+            found: name.to_owned(),
+            wanted: camera.map_or_else(|| wanted.to_owned(), watched),
+        });
+    }
     let (mut path, mut fps, mut topic) = (name, None, None);
     if !Path::new(name).exists() {
         if let Some((before, number)) = name.rsplit_once("?fps=") {
@@ -302,7 +327,12 @@ mod tests {
     fn sources_that_cannot_be_opened_say_why() {
         for (name, part) in [
             ("no-such-folder", "no such file or folder"),
-            ("v4l2:/dev/video0", "watched by monitor"),
+            ("", "wanted scene:"),
+            (
+                "v4l2:/dev/video0",
+                "source = \"v4l2:/dev/video0\" in [camera]",
+            ),
+            ("/dev/video0", "source = \"v4l2:/dev/video0\" in [camera]"),
             ("random:frames=0", "frames=1..100000"),
             ("src?fps=0", "?fps="),
             ("src", "no PNG or JPEG image"),
@@ -310,5 +340,29 @@ mod tests {
             let said = open(name).err().unwrap().to_string();
             assert!(said.contains(part), "{said}");
         }
+    }
+
+    #[test]
+    fn a_frame_is_after_another_by_number_and_time() {
+        let place = |number, nanos: Option<u64>| Place {
+            number,
+            at: nanos.map(Duration::from_nanos),
+        };
+        for (number, nanos, after) in [
+            (8, Some(101), true),
+            (u64::MAX, Some(u64::MAX), true),
+            (7, Some(101), false),
+            (6, Some(101), false),
+            (0, Some(101), false),
+            (8, Some(100), false),
+            (8, Some(99), false),
+            (8, Some(0), false),
+            (8, None, true),
+            (7, None, false),
+        ] {
+            let found = place(number, nanos).is_after(place(7, Some(100)));
+            assert_eq!(found, after, "{number} at {nanos:?}");
+        }
+        assert!(place(8, Some(0)).is_after(place(7, None)));
     }
 }

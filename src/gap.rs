@@ -123,8 +123,23 @@ impl Metric {
     /// The metrics that compare any two sets of images: all but those that need labelled drives.
     pub fn of_sets() -> Vec<Self> {
         let mut all = Self::all();
-        all.retain(|&metric| metric != Self::LaneRisk);
+        all.retain(|metric| metric.check_of_sets().is_ok());
         all
+    }
+
+    /// Whether it compares any two sets of images.
+    ///
+    /// # Errors
+    /// When it must be learnt from labelled drives first.
+    pub fn check_of_sets(self) -> Result<(), NeedsLabels> {
+        match self {
+            Self::LaneRisk => Err(NeedsLabels(self)),
+            Self::Paper
+            | Self::Attention(_)
+            | Self::LogEnergy(_)
+            | Self::Frechet
+            | Self::Mahalanobis => Ok(()),
+        }
     }
 
     /// The blocks whose largest score decides, of `blocks` tapped ones: all; of the forecast the last one, which
@@ -187,6 +202,14 @@ impl From<Metric> for String {
         metric.to_string()
     }
 }
+
+/// A metric that sets of images cannot be compared by.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "{0} is learnt from labelled drives, and a comparison of sets of images has none; wanted calibrate --metric {0} \
+     --labelled scene:…, and replay --reference with the reference that it makes, or another metric"
+)]
+pub struct NeedsLabels(pub Metric);
 
 /// What a metric says of two histograms.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -280,5 +303,19 @@ mod tests {
             assert_eq!(String::from(metric).parse(), Ok(metric));
         }
         assert!("js".parse::<Metric>().unwrap_err().contains("attention-js"));
+    }
+
+    #[test]
+    fn a_forecast_learnt_from_labels_compares_no_sets() {
+        for metric in Metric::all() {
+            let said = metric.check_of_sets().map_err(|why| why.to_string());
+            if metric == Metric::LaneRisk {
+                assert!(said.is_err_and(|said| said.contains("calibrate --metric lane-risk --labelled")));
+                assert!(!Metric::of_sets().contains(&metric));
+            } else {
+                assert_eq!(said, Ok(()));
+                assert!(Metric::of_sets().contains(&metric));
+            }
+        }
     }
 }

@@ -3,9 +3,8 @@
 use std::borrow::Cow;
 use std::path::{Path, PathBuf};
 
-use serde::Deserialize;
-
 use crate::preprocess::{CROP_NOTHING, Preprocessing};
+use crate::toml_keys::{self, Document, Wrong};
 use crate::whole_file::{read_text, read_whole};
 
 /// Most taps a model may have: the CAN message carries this many block scores.
@@ -36,8 +35,7 @@ pub struct ModelSpec {
 }
 
 /// What a user says about a model; the same words as flags and in a `.toml` beside the ONNX file.
-#[derive(Clone, Debug, Default, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[derive(Clone, Debug, Default)]
 pub struct ModelOptions {
     /// Names of the tapped values.
     pub taps: Option<Vec<String>>,
@@ -64,13 +62,15 @@ pub enum ModelError {
         /// Why.
         error: std::io::Error,
     },
-    /// The options beside the model cannot be read.
-    #[error("{}: {why}; wanted taps, lane, size, mean, std or crop", path.display())]
+    /// Something in the options beside the model is not understood.
+    #[error("{}:{line}: {what}", path.display())]
     Options {
         /// Which file.
         path: PathBuf,
-        /// Why.
-        why: String,
+        /// Line, from 1.
+        line: usize,
+        /// What was found and what would do.
+        what: String,
     },
     /// Something is missing or out of range.
     #[error("model {model}: {what}")]
@@ -132,58 +132,41 @@ impl ModelSpec {
         onnx: Cow<'static, [u8]>,
         options: ModelOptions,
     ) -> Result<Self, ModelError> {
-        let wrong = |what: &str| ModelError::Option {
+        let wrong = |what: String| ModelError::Option {
             model: name.clone(),
-            what: what.to_owned(),
+            what,
         };
+        let missing = |what: &str| wrong(what.to_owned());
         let taps = options
             .taps
-            .ok_or_else(|| wrong("no taps; wanted --taps a,b,c or taps in a .toml beside it"))?;
-        if taps.is_empty()
-            || taps.len() > TAPS_MAX
-            || (1..taps.len()).any(|i| taps[..i].contains(&taps[i]))
-        {
-            return Err(wrong("wanted 1 to 3 taps, each another"));
+            .ok_or_else(|| missing("no taps; wanted --taps a,b,c or taps in a .toml beside it"))?;
+        if !are_taps(&taps) {
+            return Err(wrong(format!("taps {}; wanted {TAPS}", taps.join(","))));
         }
-        if options
-            .lane
-            .as_ref()
-            .is_some_and(|lane| taps.contains(lane))
-        {
-            return Err(wrong("the lane output is one of the taps; wanted another"));
+        if let Some(lane) = options.lane.as_ref().filter(|lane| taps.contains(lane)) {
+            return Err(wrong(format!(
+                "the lane output {lane} is one of the taps; wanted another"
+            )));
         }
         let size = options.size.ok_or_else(|| {
-            wrong("no input size; wanted --size WxH or size in a .toml beside it")
+            missing("no input size; wanted --size WxH or size in a .toml beside it")
         })?;
-        let side = |side: &str| {
-            side.parse::<u32>()
-                .ok()
-                .filter(|s| (16..=4_096).contains(s))
-        };
-        let (width, height) = size
-            .split_once('x')
-            .and_then(|(w, h)| Some((side(w)?, side(h)?)))
-            .ok_or_else(|| wrong("wanted a size of WxH pixels, each from 16 to 4096"))?;
+        let (width, height) =
+            sides(&size).ok_or_else(|| wrong(format!("size {size}; wanted {SIZE}")))?;
         let (Some(mean), Some(std)) = (options.mean, options.std) else {
-            return Err(wrong(
+            return Err(missing(
                 "no normalisation; wanted --mean r,g,b and --std r,g,b of values 0..1, or both in a .toml beside it",
             ));
         };
-        if !mean.iter().all(|m| (0.0..=1.0).contains(m))
-            || !std.iter().all(|s| s.is_normal() && (0.0..=1.0).contains(s))
-        {
-            return Err(wrong(
-                "wanted means from 0 to 1 and standard deviations above 0 up to 1, of values 0..1 (divide by 255)",
-            ));
+        if !is_mean(&mean) {
+            return Err(wrong(format!("mean {mean:?}; wanted {MEAN}")));
+        }
+        if !is_std(&std) {
+            return Err(wrong(format!("std {std:?}; wanted {STD}")));
         }
         let crop = options.crop.unwrap_or(CROP_NOTHING);
-        let [left, top, wide, high] = crop;
-        let inside =
-            |from: f64, length: f64| from >= 0.0 && length > 0.0 && from + length <= 1.0 + 1e-9;
-        if !inside(left, wide) || !inside(top, high) {
-            return Err(wrong(
-                "wanted a crop of left, top, width, height inside the picture, as shares from 0 to 1",
-            ));
+        if !is_crop(&crop) {
+            return Err(wrong(format!("crop {crop:?}; wanted {CROP}")));
         }
         Ok(Self {
             name,
@@ -211,15 +194,64 @@ fn options_beside(model: &Path) -> Result<ModelOptions, ModelError> {
 }
 
 fn read_options(path: &Path, text: &str) -> Result<ModelOptions, ModelError> {
-    toml::from_str(text).map_err(|error| ModelError::Options {
+    parse_options(text).map_err(|Wrong { line, what }| ModelError::Options {
         path: path.to_owned(),
-        why: error
-            .message()
-            .lines()
-            .next()
-            .unwrap_or_default()
-            .to_owned(),
+        line,
+        what,
     })
+}
+
+fn parse_options(text: &str) -> Result<ModelOptions, Wrong> {
+    let document = Document::parse(text)?;
+    let keys = document.keys(&["taps", "lane", "size", "mean", "std", "crop"])?;
+    let taps = toml_keys::texts(format!("a list of {TAPS}"));
+    let size = toml_keys::text(format!("{SIZE}, as in \"800x288\""));
+    let mean = toml_keys::numbers(MEAN);
+    let std = toml_keys::numbers(STD);
+    let crop = toml_keys::numbers(CROP);
+    Ok(ModelOptions {
+        taps: keys.get("taps", taps.of(|taps| are_taps(&taps).then_some(taps)))?,
+        lane: keys.get(
+            "lane",
+            toml_keys::text("the name of the lane head's output"),
+        )?,
+        size: keys.get("size", size.of(|size| sides(&size).map(|_| size)))?,
+        mean: keys.get("mean", mean.of(|mean| is_mean(&mean).then_some(mean)))?,
+        std: keys.get("std", std.of(|std| is_std(&std).then_some(std)))?,
+        crop: keys.get("crop", crop.of(|crop| is_crop(&crop).then_some(crop)))?,
+    })
+}
+
+/// What would do for each option.
+const TAPS: &str = "one to three distinct names of values";
+const SIZE: &str = "WxH pixels, each from 16 to 4096";
+const MEAN: &str = "three means from 0 to 1, of values 0..1 (divide by 255)";
+const STD: &str = "three standard deviations above 0 up to 1, of values 0..1 (divide by 255)";
+const CROP: &str = "left, top, width and height inside the picture, as shares from 0 to 1";
+
+fn are_taps(taps: &[String]) -> bool {
+    let twice = (1..taps.len()).any(|i| taps[..i].contains(&taps[i]));
+    (1..=TAPS_MAX).contains(&taps.len()) && !twice && taps.iter().all(|tap| !tap.is_empty())
+}
+
+fn sides(size: &str) -> Option<(u32, u32)> {
+    let side = |side: &str| side.parse().ok().filter(|s| (16..=4_096).contains(s));
+    let (width, height) = size.split_once('x')?;
+    Some((side(width)?, side(height)?))
+}
+
+fn is_mean(mean: &[f32; 3]) -> bool {
+    mean.iter().all(|m| (0.0..=1.0).contains(m))
+}
+
+fn is_std(std: &[f32; 3]) -> bool {
+    std.iter().all(|s| s.is_normal() && (0.0..=1.0).contains(s))
+}
+
+fn is_crop(&[left, top, width, height]: &[f64; 4]) -> bool {
+    let inside =
+        |from: f64, length: f64| from >= 0.0 && length > 0.0 && from + length <= 1.0 + 1e-9;
+    inside(left, width) && inside(top, height)
 }
 
 #[cfg(test)]
@@ -236,32 +268,133 @@ mod tests {
     }
 
     #[test]
-    fn what_is_missing_or_wrong_is_said() {
+    fn what_is_missing_is_said() {
         let rest = "size = \"32x16\"\nmean = [0, 0, 0]\nstd = [1, 1, 1]\n";
         for (options, part) in [
             (rest.to_owned(), "--taps"),
-            (format!("taps = [\"a\", \"a\"]\n{rest}"), "each another"),
             (
                 "taps = [\"a\"]\nmean = [0, 0, 0]\nstd = [1, 1, 1]".to_owned(),
                 "--size",
             ),
             ("taps = [\"a\"]\nsize = \"32x16\"".to_owned(), "--mean"),
             (
-                "taps = [\"a\"]\nsize = \"32x16\"\nmean = [0, 0, 0]\nstd = [1, 0, 1]".to_owned(),
-                "above 0",
-            ),
-            (
-                format!("taps = [\"a\"]\ncrop = [0, 0.6, 1, 0.6]\n{rest}"),
-                "crop",
-            ),
-            (format!("tips = [\"a\"]\n{rest}"), "tips"),
-            (
                 format!("taps = [\"a\"]\nlane = \"a\"\n{rest}"),
-                "one of the taps",
+                "the lane output a is one of the taps",
             ),
         ] {
             let said = complaint(&options);
             assert!(said.contains(part), "{said}");
+        }
+    }
+
+    #[test]
+    fn what_is_wrong_in_a_file_is_said_with_its_line_what_was_found_and_what_would_do() {
+        for (line, said) in [
+            (
+                "tips = [\"a\"]",
+                "unknown key tips; wanted taps, lane, size, mean, std or crop",
+            ),
+            (
+                "taps = \"a\"",
+                "taps = \"a\"; wanted a list of one to three distinct names of values",
+            ),
+            ("taps = []", "taps = []; wanted a list of one to three"),
+            (
+                "taps = [\"a\", \"a\"]",
+                "taps = [\"a\", \"a\"]; wanted a list of one to three distinct",
+            ),
+            (
+                "taps = [\"a\", \"b\", \"c\", \"d\"]",
+                "wanted a list of one to three",
+            ),
+            ("taps = [\"a\", 1]", "taps = [\"a\", 1]; wanted a list"),
+            ("lane = 1", "lane = 1; wanted the name"),
+            (
+                "size = 320",
+                "size = 320; wanted WxH pixels, each from 16 to 4096",
+            ),
+            ("size = \"9x9\"", "size = \"9x9\"; wanted WxH"),
+            ("mean = 0.5", "mean = 0.5; wanted three means from 0 to 1"),
+            ("mean = [0, 0]", "mean = [0, 0]; wanted three means"),
+            (
+                "mean = [0, 0, \"0\"]",
+                "mean = [0, 0, \"0\"]; wanted three means",
+            ),
+            ("mean = [90, 90, 90]", "(divide by 255)"),
+            (
+                "std = [1, 0, 1]",
+                "std = [1, 0, 1]; wanted three standard deviations above 0",
+            ),
+            (
+                "crop = [0, 0.6, 1, 0.6]",
+                "crop = [0, 0.6, 1, 0.6]; wanted left, top, width and height",
+            ),
+            ("crop = [0, 0, 1]", "crop = [0, 0, 1]; wanted left"),
+            ("size = ", "not TOML: "),
+        ] {
+            let complaint = complaint(&format!("# What to feed it.\n{line}\n"));
+            assert!(
+                complaint.starts_with("m.toml:2: ") && complaint.contains(said),
+                "{complaint}"
+            );
+        }
+    }
+
+    #[test]
+    fn what_is_wrong_on_the_command_line_is_said_too() {
+        let spec = |typed| {
+            let refused = ModelSpec::new(None, typed).unwrap_err();
+            refused.to_string()
+        };
+        let nothing = ModelOptions::default;
+        let taps = Some(["a", "a"].map(str::to_owned).to_vec());
+        for (typed, said) in [
+            (
+                ModelOptions { taps, ..nothing() },
+                "taps a,a; wanted one to three distinct",
+            ),
+            (
+                ModelOptions {
+                    size: Some("3".to_owned()),
+                    ..nothing()
+                },
+                "size 3; wanted WxH",
+            ),
+            (
+                ModelOptions {
+                    mean: Some([2.0; 3]),
+                    ..nothing()
+                },
+                "mean [2.0, 2.0, 2.0]; wanted",
+            ),
+            (
+                ModelOptions {
+                    std: Some([0.0; 3]),
+                    ..nothing()
+                },
+                "std [0.0, 0.0, 0.0]; wanted",
+            ),
+            (
+                ModelOptions {
+                    crop: Some([0.5; 4]),
+                    ..nothing()
+                },
+                "",
+            ),
+            (
+                ModelOptions {
+                    crop: Some([0.6; 4]),
+                    ..nothing()
+                },
+                "crop [0.6, 0.6, 0.6, 0.6]; wanted",
+            ),
+        ] {
+            if said.is_empty() {
+                assert!(ModelSpec::new(None, typed).is_ok());
+            } else {
+                let refused = spec(typed);
+                assert!(refused.contains(said), "{refused}");
+            }
         }
     }
 

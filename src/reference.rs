@@ -17,6 +17,7 @@ use crate::gap::lane_risk::LaneRisk;
 use crate::gap::moments::{EnergyNorm, energy_levels};
 use crate::gap::{Comparison, Metric};
 use crate::histogram::Binning;
+use crate::json_fault::fault;
 use crate::model::ModelSpec;
 use crate::preprocess::{Preprocessing, RESIZE_KERNEL};
 use crate::undefined::Undefined;
@@ -384,7 +385,7 @@ impl Reference {
             found,
         };
         let value: serde_json::Value =
-            serde_json::from_str(text).map_err(|e| malformed(format!("not JSON ({e})")))?;
+            serde_json::from_str(text).map_err(|error| malformed(fault(&error)))?;
         let (format, version) = (&value["format"], &value["version"]);
         if format == FORMAT && version.as_u64().is_some_and(|of| of < VERSION.into()) {
             return Err(malformed(format!(
@@ -394,8 +395,9 @@ impl Reference {
         if format != FORMAT || version != VERSION {
             return Err(malformed(format!("format {format}, version {version}")));
         }
+        // Of the text, since a value does not know its lines.
         let reference: Self =
-            serde_json::from_value(value).map_err(|e| malformed(e.to_string()))?;
+            serde_json::from_str(text).map_err(|error| malformed(fault(&error)))?;
         match reference.fault() {
             Some(fault) => Err(malformed(fault)),
             None => Ok(reference),
@@ -745,7 +747,7 @@ mod tests {
             ),
             (
                 "{\"format\": \"gapwatch-reference\", \"version\": 4}",
-                "missing field",
+                "no \"model\" at line 1",
             ),
         ] {
             let said = Reference::parse("r.json", text).unwrap_err().to_string();

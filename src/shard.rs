@@ -8,6 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::calibration::Wanted;
 use crate::gap::Metric;
+use crate::json_fault::fault;
 use crate::reference::{BYTES_MAX, ModelFingerprint, Reference, ReferenceError, Role};
 use crate::whole_file::{WholeFile, read_whole};
 
@@ -91,7 +92,7 @@ impl Shard {
             error,
         })?;
         let value: serde_json::Value =
-            serde_json::from_slice(&text).map_err(|e| malformed(format!("not JSON ({e})")))?;
+            serde_json::from_slice(&text).map_err(|error| malformed(fault(&error)))?;
         if value["format"] == FORMAT {
             if value["version"] != VERSION {
                 return Err(malformed(format!(
@@ -99,7 +100,7 @@ impl Shard {
                     value["version"]
                 )));
             }
-            return serde_json::from_value(value).map_err(|e| malformed(e.to_string()));
+            return serde_json::from_slice(&text).map_err(|error| malformed(fault(&error)));
         }
         let reference = Reference::read(Some(path))?;
         let sources = reference.provenance.sources.into_iter().map(|source| {

@@ -22,7 +22,7 @@ pub enum Undefined {
     /// The same picture, bit by bit, for longer than a camera's noise allows.
     #[error("picture has not changed for {} ms", .0.as_millis())]
     Frozen(std::time::Duration),
-    /// A frame whose number or time is not behind that of the frame before it.
+    /// A frame whose number or time is not after that of the frame before it.
     #[error("frame {number} came after frame {before}, or its time did not go on")]
     OutOfOrder {
         /// Number of the frame.

@@ -58,10 +58,10 @@ impl WholeFile {
     /// # Errors
     /// When nothing can be written there.
     pub fn create(path: &Path) -> io::Result<Self> {
-        Self::begin(path, unnamed)
+        Self::begin(path, without_name)
     }
 
-    fn begin(path: &Path, unnamed: fn(&Path) -> Option<File>) -> io::Result<Self> {
+    fn begin(path: &Path, nameless: fn(&Path) -> Option<File>) -> io::Result<Self> {
         match path.metadata() {
             Ok(there) if there.is_dir() => return Err(io::ErrorKind::IsADirectory.into()),
             Ok(there) if !there.is_file() => {
@@ -76,13 +76,14 @@ impl WholeFile {
         // A link to a file stays a link: what it names is replaced.
         let place = path.canonicalize().unwrap_or_else(|_| path.to_owned());
         let folder = folder_of(&place);
-        let (file, name) = match unnamed(folder) {
+        let (file, name) = match nameless(folder) {
             Some(file) => (file, None),
             None => {
                 let named = tempfile::Builder::new()
                     .prefix(PREFIX)
                     .permissions(PermissionsExt::from_mode(0o644))
-                    .tempfile_in(folder)?;
+                    .tempfile_in(folder)
+                    .map_err(|error| unnamed(&error))?;
                 let (file, name) = named.into_parts();
                 (file, Some(name))
             }
@@ -114,7 +115,7 @@ impl WholeFile {
 }
 
 /// A file without a name; `None` where there is none that could be given one later, and where nothing can be written.
-fn unnamed(folder: &Path) -> Option<File> {
+fn without_name(folder: &Path) -> Option<File> {
     let flags = OFlags::WRONLY | OFlags::TMPFILE | OFlags::CLOEXEC;
     let file = File::from(rustix::fs::open(folder, flags, Mode::from(0o644)).ok()?);
     name_of_open(&file).exists().then_some(file)
@@ -150,6 +151,15 @@ impl Write for WholeFile {
             Target::Through(file) => file.flush(),
         }
     }
+}
+
+/// An error of `tempfile` without the name of the temporary file or folder, which nobody typed.
+pub fn unnamed(error: &io::Error) -> io::Error {
+    let said = error.to_string();
+    let of_system = said
+        .split_once(" at path \"")
+        .map_or(said.as_str(), |(before, _)| before);
+    io::Error::new(error.kind(), of_system)
 }
 
 #[cfg(test)]
@@ -211,7 +221,11 @@ mod tests {
             .unwrap();
         assert!(!Path::new("/dev/null").metadata().unwrap().is_file());
         assert!(WholeFile::create(tempfile::tempdir().unwrap().path()).is_err());
-        assert!(WholeFile::create(Path::new("/no/such/folder/file")).is_err());
+        let error = WholeFile::create(Path::new("/no/such/folder/file"))
+            .err()
+            .unwrap();
+        assert_eq!(error.kind(), io::ErrorKind::NotFound);
+        assert_eq!(error.to_string(), "No such file or directory (os error 2)");
     }
 
     #[test]

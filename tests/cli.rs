@@ -12,6 +12,122 @@ fn empty() -> tempfile::TempDir {
     tempfile::tempdir().unwrap()
 }
 
+/// Words of the program's own types and libraries, which say nothing to a person.
+const NOT_PLAIN: [&str; 12] = [
+    "invalid type",
+    "invalid digit",
+    "invalid length",
+    "unknown variant",
+    "unknown field",
+    "missing field",
+    "expected one of",
+    "expected a ",
+    "u16",
+    "f64",
+    "..=",
+    ".tmp",
+];
+
+/// A part of an error that it says a second time.
+fn said_twice(line: &str) -> Option<&str> {
+    const SHORTEST: usize = 12;
+    let parts: Vec<&str> = line.trim().split([':', ';']).map(str::trim).collect();
+    let long = parts.iter().filter(|part| part.len() >= SHORTEST);
+    let mut long = long.copied();
+    long.find(|part| parts.iter().filter(|other| *other == part).count() > 1)
+}
+
+#[test]
+fn a_part_that_is_said_twice_is_found() {
+    let twice = "gapwatch: scene \"a\": no such look; wanted b: \"a\": no such look; wanted b";
+    assert_eq!(said_twice(twice), Some("no such look"));
+    assert_eq!(
+        said_twice("gapwatch: no such look; wanted such a look"),
+        None
+    );
+}
+
+#[test]
+fn a_drive_of_one_image_is_summed_up_without_shares() {
+    let said = gapwatch_in(empty().path(), &["replay", "scene:sim?seconds=0.1"]).ok();
+    let last = said.lines().last().unwrap();
+    assert!(
+        last.starts_with("1 frame, 0.0 s of drive in ") && last.ends_with(" s: Init"),
+        "{said}"
+    );
+}
+
+#[test]
+fn files_that_are_wrong_are_met_in_plain_words_with_their_line() {
+    let folder = empty();
+    let write = |name: &str, text: &str| fs::write(folder.path().join(name), text).unwrap();
+    write("m.onnx", "hello");
+    let reference = gapwatch_reference();
+    let short = ["replay", "scene:sim?seconds=0.1", "--journal", "j.jsonl"];
+    gapwatch_in(folder.path(), &short).ok();
+    let journal = fs::read_to_string(folder.path().join("j.jsonl")).unwrap();
+    for (name, text, args, said) in [
+        (
+            "b.toml",
+            "[camera]\nsource = 3\n".to_owned(),
+            vec!["monitor", "--board", "b.toml"],
+            "b.toml:2: source = 3; wanted v4l2:/dev/videoN",
+        ),
+        (
+            "m.toml",
+            "taps = 3\n".to_owned(),
+            vec!["replay", "--model", "m.onnx"],
+            "m.toml:1: taps = 3; wanted a list",
+        ),
+        (
+            "r.json",
+            reference.replacen("\"window_s\": 1.0", "\"window_s\": \"1\"", 1),
+            vec!["replay", "--reference", "r.json"],
+            "reference r.json: another kind of value than belongs there at line ",
+        ),
+        (
+            "r.json",
+            reference.replacen("\"window_s\"", "\"windows\"", 1),
+            vec!["replay", "--reference", "r.json"],
+            "reference r.json: \"windows\", which is not known, at line ",
+        ),
+        (
+            "r.json",
+            reference[..reference.len() / 2].to_owned(),
+            vec!["replay", "--reference", "r.json"],
+            "reference r.json: not JSON: it ends at line ",
+        ),
+        (
+            "s.json",
+            "{\"format\": \"gapwatch-shard\", \"version\": 1}".to_owned(),
+            vec!["merge", "s.json", "--out", "o.json"],
+            "s.json: no \"",
+        ),
+        (
+            "j.jsonl",
+            journal.replacen("\"about\":{", "\"about\":3,\"of\":{", 1),
+            vec!["report", "j.jsonl", "--out", "o.html"],
+            "about: another kind of value than belongs there; wanted",
+        ),
+    ] {
+        write(name, &text);
+        let line = gapwatch_in(folder.path(), &args).refusal();
+        assert!(line.contains(said), "{args:?}: {line}");
+        assert_eq!(said_twice(&line), None, "{line}");
+        for word in NOT_PLAIN {
+            assert!(!line.contains(word), "{args:?}: {word} in {line}");
+        }
+    }
+}
+
+/// The text of the reference inside the program.
+fn gapwatch_reference() -> String {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("calibration/sim.json");
+    let text = fs::read_to_string(path).unwrap();
+    assert!(text.contains("\"window_s\": 1.0"));
+    text
+}
+
 #[test]
 fn wrong_use_is_met_with_one_line_and_exit_code_2_and_leaves_nothing_behind() {
     let folder = empty();
@@ -45,7 +161,10 @@ fn wrong_use_is_met_with_one_line_and_exit_code_2_and_leaves_nothing_behind() {
             vec!["replay", "--can", "log:no/such/folder/can.log"],
             "no/such/folder/can.log",
         ),
-        (vec!["replay", "--can", "can0"], "log:FILE"),
+        (
+            vec!["replay", "--can", "can0"],
+            "an interface is written socketcan:can0",
+        ),
         (vec!["monitor"], "--board"),
         (
             vec!["monitor", "--board", "missing.toml"],
@@ -70,6 +189,27 @@ fn wrong_use_is_met_with_one_line_and_exit_code_2_and_leaves_nothing_behind() {
         (
             with_model(&["replay", "--model", "not-a-model.onnx"]),
             "not-a-model.onnx",
+        ),
+        (
+            vec!["replay", "/dev/video0"],
+            "source = \"v4l2:/dev/video0\" in [camera]",
+        ),
+        (
+            vec!["calibrate", "--sim", "/dev/video0", "--out", "r.json"],
+            "source = \"v4l2:/dev/video0\" in [camera]",
+        ),
+        (vec!["replay", ""], "wanted scene:"),
+        (
+            vec!["compare", "random:", "random:", "--metric", "lane-risk"],
+            "calibrate --metric lane-risk --labelled",
+        ),
+        (
+            vec!["compare", "random:", "random:", "--levels", "x"],
+            "a whole number from 2 to 65536",
+        ),
+        (
+            vec!["scene", "--out", "s", "--seed", "-"],
+            "a whole number from 0 to 4294967294",
         ),
         (vec!["replay", "--mean", "0,0"], "3 numbers"),
         (vec!["replay", "--taps", "e2,e9,e4"], "e9"),
@@ -197,6 +337,14 @@ fn wrong_use_is_met_with_one_line_and_exit_code_2_and_leaves_nothing_behind() {
         (vec!["evaluate", "--quick", "--scenes", "3"], "--quick"),
         (vec!["evaluate", "--format", "csv"], "--only lane_iou"),
         (
+            vec!["evaluate", "--only", "lane_iou", "--plot", "p.svg"],
+            "--plot is for speed_error",
+        ),
+        (
+            vec!["evaluate", "--only", "lane_iou", "--budget", "2"],
+            "--budget is for speed_error",
+        ),
+        (
             vec![
                 "evaluate",
                 "--scenes",
@@ -212,6 +360,10 @@ fn wrong_use_is_met_with_one_line_and_exit_code_2_and_leaves_nothing_behind() {
             line.starts_with("gapwatch: ") && line.contains(said),
             "{args:?}: {line}"
         );
+        assert_eq!(said_twice(&line), None, "{args:?}: {line}");
+        for word in NOT_PLAIN {
+            assert!(!line.contains(word), "{args:?}: {word} in {line}");
+        }
         assert_eq!(files(folder.path()), before, "{args:?} left files behind");
     }
 }

@@ -3,9 +3,8 @@
 use std::path::PathBuf;
 use std::time::Duration;
 
-use serde::Deserialize;
-
 use crate::evidence::Quota;
+use crate::toml_keys::{self, Keys, Kind, Wrong};
 
 const DAY: Duration = Duration::from_secs(86_400);
 /// How long an event is kept, unless the board says otherwise: pictures show people.
@@ -23,39 +22,29 @@ pub struct EvidenceBoard {
     pub quota: Quota,
 }
 
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-pub(super) struct EvidenceTable {
-    pub(super) folder: PathBuf,
-    events: Option<Count<EVENTS_MAX>>,
-    megabytes: Option<Count<MEGABYTES_MAX>>,
-    days: Option<Count<DAYS_MAX>>,
+/// `[evidence]`; `None` without it.
+pub(super) fn read(
+    file: &Keys<'_>,
+    beside: impl Fn(PathBuf) -> PathBuf,
+) -> Result<Option<EvidenceBoard>, Wrong> {
+    let Some(table) = file.table("evidence", &["folder", "events", "megabytes", "days"])? else {
+        return Ok(None);
+    };
+    let count = |key, most: u32| table.get(key, toml_keys::whole(1..=most, ""));
+    let default = Quota::default();
+    let events = count("events", EVENTS_MAX)?;
+    let megabytes = count("megabytes", MEGABYTES_MAX)?;
+    let days = count("days", DAYS_MAX)?;
+    Ok(Some(EvidenceBoard {
+        folder: beside(table.need("folder", folder())?),
+        quota: Quota {
+            bytes: megabytes.map_or(default.bytes, |megabytes| u64::from(megabytes) * 1_000_000),
+            events: events.map_or(default.events, |events| events as usize),
+            keep: Some(days.map_or(KEEP, |days| DAY * days)),
+        },
+    }))
 }
 
-/// A whole number from 1 to `MAX`.
-#[derive(Clone, Copy, Deserialize)]
-#[serde(try_from = "i64")]
-struct Count<const MAX: u32>(u32);
-
-impl<const MAX: u32> TryFrom<i64> for Count<MAX> {
-    type Error = String;
-
-    fn try_from(count: i64) -> Result<Self, String> {
-        match u32::try_from(count) {
-            Ok(count) if (1..=MAX).contains(&count) => Ok(Self(count)),
-            _ => Err(format!("{count}; wanted a whole number from 1 to {MAX}")),
-        }
-    }
-}
-
-impl EvidenceTable {
-    pub(super) fn quota(&self) -> Quota {
-        let default = Quota::default();
-        let megabytes = self.megabytes.map(|count| u64::from(count.0) * 1_000_000);
-        Quota {
-            bytes: megabytes.unwrap_or(default.bytes),
-            events: self.events.map_or(default.events, |count| count.0 as usize),
-            keep: Some(self.days.map_or(KEEP, |count| DAY * count.0)),
-        }
-    }
+fn folder() -> Kind<PathBuf> {
+    toml_keys::text("the name of a folder").of(|name| Some(PathBuf::from(name)))
 }

@@ -58,6 +58,14 @@ pub fn run(args: &EvaluateArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
         return Ok(0);
     }
     let wanted = |key: EvaluateKey| args.only.is_none_or(|only| only == key);
+    for (asked, flag) in [
+        (args.plot.is_some(), "--plot"),
+        (args.budget.is_some(), "--budget"),
+    ] {
+        if asked && !wanted(EvaluateKey::SpeedError) {
+            bail!("{flag} is for speed_error; wanted --only speed_error, or everything");
+        }
+    }
     let built_in = ModelSpec::new(None, ModelOptions::default())?;
     let built_in = Encoder::load(&built_in)?.sha256().to_owned();
     // What cannot be opened is refused before any work is done that could be lost.

@@ -254,8 +254,10 @@ fn all_frames(source: &mut dyn FrameSource, shared: &Shared) -> Result<(), Sourc
         if !live {
             std::thread::sleep(frame.captured_at.saturating_sub(shared.began.elapsed()));
         }
-        // Time never goes back, also when a camera turns out to have been faster than was known.
-        last = last.max(shared.began.elapsed().saturating_sub(source.waited()));
+        // Later than the frame before, also when this thread was held up between two looks at the clock: a camera whose
+        // frames are not in order says so by their numbers.
+        let taken = shared.began.elapsed().saturating_sub(source.waited());
+        last = taken.max(last + Duration::from_nanos(1));
         frame.captured_at = last;
         shared.newest.put(frame);
     }

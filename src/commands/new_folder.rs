@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, bail};
 use gapwatch::durable::{folder_of, put_in_place, sync_contents};
 use gapwatch::temporary_folder::TemporaryFolder;
+use gapwatch::whole_file::unnamed;
 
 /// A folder under another name until it is complete; removed if that never happens.
 pub struct NewFolder {
@@ -27,6 +28,7 @@ impl NewFolder {
         // A link to an empty folder stays a link.
         let target = target.canonicalize().unwrap_or_else(|_| target.to_owned());
         let folder = TemporaryFolder::create(folder_of(&target), ".gapwatch-", 0o755)
+            .map_err(|error| unnamed(&error))
             .with_context(|| format!("cannot create {}", target.display()))?;
         Ok(Self { folder, target })
     }

@@ -249,22 +249,29 @@ impl Summary {
     }
 
     fn tell(&self, took: Duration, out: &mut dyn Write) -> anyhow::Result<()> {
-        let total_s = self.total_s();
-        let shares = self.time_in.iter().map(|(name, time)| {
-            format!(
-                "{name} {:.1} %",
-                100.0 * time.as_secs_f64() / total_s.max(1e-9)
-            )
-        });
-        let (took_s, shares) = (took.as_secs_f64(), shares.collect::<Vec<_>>().join(", "));
+        let frames = |count| match count {
+            0 => "no frame".to_owned(),
+            1 => "1 frame".to_owned(),
+            count => format!("{count} frames"),
+        };
+        let (total_s, took_s) = (self.total_s(), took.as_secs_f64());
         write!(
             out,
-            "{} frames, {total_s:.1} s of drive in {took_s:.1} s: {shares}",
-            self.frames
+            "{}, {total_s:.1} s of drive in {took_s:.1} s",
+            frames(self.frames)
         )?;
+        // One frame has no length: there is no share of time to tell.
+        if total_s > 0.0 {
+            let shares = self.time_in.iter().map(|(name, time)| {
+                format!("{name} {:.1} %", 100.0 * time.as_secs_f64() / total_s)
+            });
+            write!(out, ": {}", shares.collect::<Vec<_>>().join(", "))?;
+        } else if let Some((_, state)) = self.last {
+            write!(out, ": {}", state.name())?;
+        }
         match self.not_judged {
             0 => writeln!(out)?,
-            count => writeln!(out, "; {count} frames could not be judged")?,
+            count => writeln!(out, "; {} could not be judged", frames(count))?,
         }
         Ok(())
     }

@@ -8,6 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use super::Moment;
 use super::folder::Content;
+use crate::json_fault::fault;
 
 /// The file of an event that says what the others are.
 pub const EVENT_FILE: &str = "event.json";
@@ -48,8 +49,9 @@ pub fn read(folder: &Path) -> Result<Vec<(PathBuf, Event)>, ReadError> {
         let folder = folder.join(event.name());
         let path = folder.join(EVENT_FILE);
         let event: Event = bytes(&path)
-            .and_then(|bytes| Ok(serde_json::from_slice(&bytes)?))
-            .map_err(|error| refused(&path, error.to_string()))?;
+            .map_err(|error| error.to_string())
+            .and_then(|bytes| serde_json::from_slice(&bytes).map_err(|error| fault(&error)))
+            .map_err(|why| refused(&path, why))?;
         if event.edge >= event.moments.len() {
             return Err(refused(&path, format!("edge {}", event.edge)));
         }

@@ -8,7 +8,7 @@ use std::io;
 use std::mem;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use v4l::buffer::{Flags, Metadata, Type};
 use v4l::device::Handle;
@@ -19,7 +19,7 @@ use v4l::video::capture::Parameters;
 use v4l::{Device, Format, FourCC, Fraction};
 
 use super::pixels::{Layout, PixelFormat, Pixels};
-use super::{CameraFacts, Frame, FrameSource, PictureError, SourceError};
+use super::{CameraFacts, Frame, FrameSource, PictureError, Place, SourceError};
 use crate::board::{CAMERA_FORMATS, CameraWish};
 use crate::rate::{Pace, WantedPeriod};
 
@@ -29,6 +29,10 @@ const BUFFERS: u32 = 4;
 const STALL: Duration = Duration::from_secs(2);
 /// First and longest pause between two attempts to open a camera again.
 const BACK_OFF: (Duration, Duration) = (Duration::from_millis(100), Duration::from_millis(500));
+/// The log hears of a frame that is older than this when it is read: no camera and no queue of [`BUFFERS`] takes as long.
+const OLD: Duration = Duration::from_secs(2);
+/// At most one such complaint in this time.
+const COMPLAINT: Duration = Duration::from_secs(1);
 /// `POLLIN` of `poll(2)`.
 const POLLIN: i16 = 1;
 /// What is asked for, in this order, unless the board says otherwise.
@@ -43,10 +47,12 @@ pub struct CameraSource {
     sequence: u64,
     /// Numbers and times of the driver, since the camera was opened.
     order: Order,
-    /// How long the last frame had waited.
+    clock: Clock,
+    /// How long ago the last frame was taken when it was given.
     waited: Duration,
+    /// The log was told that the driver says no times.
+    untimed: bool,
     counts: Counts,
-    began: Instant,
     /// Frames that nobody will judge are not copied.
     pace: Pace,
     period: Arc<WantedPeriod>,
@@ -116,9 +122,10 @@ impl CameraSource {
             back_off: BACK_OFF.0,
             sequence: 0,
             order: Order::default(),
+            clock: Clock::new(monotonic_now()),
             waited: Duration::ZERO,
+            untimed: false,
             counts: Counts::default(),
-            began: Instant::now(),
             pace: Pace::default(),
             period,
         })
@@ -148,6 +155,27 @@ impl CameraSource {
         self.counts.lost += step.saturating_sub(1);
         step
     }
+
+    /// When a frame was taken; the log hears of times that are missing or long ago.
+    fn place(&mut self, stamp: &Stamp) -> Taken {
+        let now = monotonic_now();
+        let taken = self.clock.place(stamp.taken_at, now);
+        if stamp.taken_at.is_none() && !self.untimed {
+            self.untimed = true;
+            log::warn!(
+                "{}: the driver gives no times of the monotonic clock; the age of frames is not known, and each counts as taken when it is read",
+                self.device
+            );
+        }
+        if self.clock.is_complaint(taken.age, now) {
+            let age_s = taken.age.as_secs_f64();
+            log::warn!(
+                "{}: a frame is {age_s:.1} s old when it is read, by the driver's time",
+                self.device
+            );
+        }
+        taken
+    }
 }
 
 /// What the driver says of a frame.
@@ -164,46 +192,94 @@ struct Order {
     last: Option<Stamp>,
     /// Some drivers number nothing: all their frames are 0.
     numbered: bool,
-    /// Nanoseconds by which the driver's clock was ahead of ours for the frame that came fastest, in this span and the one
-    /// before: one wrong stamp is forgotten within two spans.
-    ahead: [Option<i128>; 2],
-    /// When this span began.
-    since: Duration,
 }
 
-/// Length of a span over which the fastest frame is looked for.
-const FASTEST_WITHIN: Duration = Duration::from_secs(5);
-
 impl Order {
+    /// How far a frame is from the one before; 0 when it does not come after it.
     fn step(&mut self, stamp: &Stamp) -> u64 {
         let Some(last) = self.last.replace(*stamp) else {
             return 1;
         };
-        let step = stamp.number.wrapping_sub(last.number);
-        self.numbered |= step != 0;
-        let back = |(then, now): (Duration, Duration)| now <= then;
-        if last.taken_at.zip(stamp.taken_at).is_some_and(back) || step > u32::MAX / 2 {
-            return 0;
+        // Numbers wrap: more than half of the way round is a step back.
+        let moved = stamp.number.wrapping_sub(last.number);
+        self.numbered |= moved != 0;
+        let step = match moved {
+            _ if !self.numbered => 1,
+            back if back > u32::MAX / 2 => 0,
+            forward => u64::from(forward),
+        };
+        let place = |number, at| Place { number, at };
+        if place(step, stamp.taken_at).is_after(place(0, last.taken_at)) {
+            step
+        } else {
+            0
         }
-        if self.numbered { step.into() } else { 1 }
+    }
+}
+
+/// Frames' times by the driver → times since the source began. All are of the system's monotonic clock.
+#[derive(Debug)]
+struct Clock {
+    began: Duration,
+    /// The driver's time of the last frame, and what was made of it.
+    last: Option<(Option<Duration>, Duration)>,
+    complained_at: Option<Duration>,
+}
+
+/// When a frame was taken.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Taken {
+    /// Since the source began.
+    at: Duration,
+    /// How long ago.
+    age: Duration,
+}
+
+impl Clock {
+    fn new(began: Duration) -> Self {
+        Self {
+            began,
+            last: None,
+            complained_at: None,
+        }
     }
 
-    /// How much longer this frame was on its way than the fastest one: the time that it waited for us. What even the fastest
-    /// took cannot be known.
-    fn waited(&mut self, stamp: &Stamp, now: Duration) -> Duration {
-        let Some(taken_at) = stamp.taken_at else {
-            return Duration::ZERO;
-        };
-        let nanos = |time: Duration| i128::try_from(time.as_nanos()).unwrap_or(i128::MAX);
-        let ahead = nanos(taken_at) - nanos(now);
-        if now.saturating_sub(self.since) >= FASTEST_WITHIN {
-            self.ahead = [None, self.ahead[0]];
-            self.since = now;
+    /// When the frame that is read `now` was taken, by the driver's `stamp`. One in the future counts as now, and so does a
+    /// frame without; however old one is, it is believed. The times that are given only grow while the driver's do.
+    fn place(&mut self, stamp: Option<Duration>, now: Duration) -> Taken {
+        let taken = stamp.map_or(now, |stamp| stamp.min(now));
+        let mut at = taken.saturating_sub(self.began);
+        if let Some((before, last)) = self.last
+            && before
+                .zip(stamp)
+                .is_none_or(|(before, stamp)| stamp > before)
+        {
+            // Only frames from before the source began would otherwise have one time.
+            at = at.max(last + Duration::from_nanos(1));
         }
-        let own = *self.ahead[0].insert(self.ahead[0].unwrap_or(ahead).max(ahead));
-        let most = own.max(self.ahead[1].unwrap_or(own));
-        Duration::from_nanos(u64::try_from(most - ahead).unwrap_or(u64::MAX))
+        self.last = Some((stamp, at));
+        Taken {
+            at,
+            age: now - taken,
+        }
     }
+
+    /// Whether a frame is so old that it is worth a complaint, at most one a second.
+    fn is_complaint(&mut self, age: Duration, now: Duration) -> bool {
+        let quiet = self.complained_at.is_some_and(|at| now < at + COMPLAINT);
+        let complain = age > OLD && !quiet;
+        if complain {
+            self.complained_at = Some(now);
+        }
+        complain
+    }
+}
+
+/// The system's monotonic clock, by which drivers stamp their frames.
+fn monotonic_now() -> Duration {
+    let now = rustix::time::clock_gettime(rustix::time::ClockId::Monotonic);
+    let part = |part: i64| u64::try_from(part).unwrap_or_default();
+    Duration::from_secs(part(now.tv_sec)) + Duration::from_nanos(part(now.tv_nsec))
 }
 
 impl FrameSource for CameraSource {
@@ -213,30 +289,32 @@ impl FrameSource for CameraSource {
                 self.open_again();
                 continue;
             };
-            let (picture, stamp) =
-                match open.read(|| self.pace.is_due(self.began.elapsed(), self.period.get())) {
-                    Ok(Some(read)) => read,
-                    Ok(None) => {
-                        self.counts.damaged += 1;
-                        continue;
-                    }
-                    Err(error) if error.kind() == io::ErrorKind::Interrupted => continue,
-                    Err(error) => {
-                        log::warn!("{}: {error}; {:?}", self.device, self.counts);
-                        self.open = None;
-                        continue;
-                    }
-                };
+            let (picture, stamp) = match open.read(|| {
+                let elapsed = monotonic_now().saturating_sub(self.clock.began);
+                self.pace.is_due(elapsed, self.period.get())
+            }) {
+                Ok(Some(read)) => read,
+                Ok(None) => {
+                    self.counts.damaged += 1;
+                    continue;
+                }
+                Err(error) if error.kind() == io::ErrorKind::Interrupted => continue,
+                Err(error) => {
+                    log::warn!("{}: {error}; {:?}", self.device, self.counts);
+                    self.open = None;
+                    continue;
+                }
+            };
             self.back_off = BACK_OFF.0;
             self.sequence += self.step(&stamp);
-            let now = self.began.elapsed();
-            self.waited = self.order.waited(&stamp, now);
+            let taken = self.place(&stamp);
+            self.waited = taken.age;
             let Some(picture) = picture else {
                 continue;
             };
             return Ok(Some(Frame {
                 sequence: self.sequence,
-                captured_at: now.saturating_sub(self.waited),
+                captured_at: taken.at,
                 picture: picture.map_err(|found| PictureError {
                     path: self.device.clone().into(),
                     found,
@@ -423,29 +501,84 @@ mod tests {
         assert_eq!(unnumbered.step(&stamp(0, 30)), 0);
     }
 
+    const fn ms(millis: u64) -> Duration {
+        Duration::from_millis(millis)
+    }
+
     #[test]
-    fn a_frame_has_waited_what_it_took_longer_than_the_fastest() {
-        let mut order = Order::default();
-        let mut waited = |taken, given| {
-            let waited = order.waited(&stamp(0, taken), Duration::from_millis(given));
-            waited.as_millis()
+    fn a_constant_delay_is_the_age_of_every_frame() {
+        let mut clock = Clock::new(ms(9_000));
+        for n in 0..300 {
+            let taken_at = ms(9_010 + 33 * n);
+            let taken = clock.place(Some(taken_at), taken_at + ms(80));
+            assert_eq!(taken.age, ms(80));
+            assert_eq!(taken.at, ms(10 + 33 * n));
+        }
+    }
+
+    #[test]
+    fn stamps_of_the_future_and_missing_ones_count_as_now() {
+        let mut clock = Clock::new(ms(9_000));
+        let mut place = |taken_at: Option<u64>, now| {
+            let taken = clock.place(taken_at.map(ms), ms(now));
+            (taken.at.as_millis(), taken.age.as_millis())
         };
-        assert_eq!(waited(9_000, 40), 0);
-        assert_eq!(waited(9_033, 63), 0);
-        assert_eq!(waited(9_066, 116), 20);
-        // A stamp 2 s in the future makes the others look late, but not for ever.
-        assert_eq!(waited(11_099, 139), 0);
-        assert_eq!(waited(9_166, 206), 2_000);
-        assert_eq!(waited(14_260, 5_300), 2_000);
-        assert_eq!(waited(19_360, 10_400), 0);
-        let unknown = Stamp {
-            number: 0,
-            taken_at: None,
+        assert_eq!(place(Some(9_040), 9_050), (40, 10));
+        assert_eq!(place(Some(9_083), 9_083), (83, 0));
+        assert_eq!(place(Some(9_130), 9_120), (120, 0));
+        assert_eq!(place(Some(9_140), 9_160), (140, 20));
+        assert_eq!(place(None, 9_200), (200, 0));
+        assert_eq!(place(Some(9_240), 9_241), (240, 1));
+        // One wrong stamp does not change what is made of the next.
+        assert_eq!(place(Some(99_000), 9_280), (280, 0));
+        assert_eq!(place(Some(9_300), 9_310), (300, 10));
+    }
+
+    #[test]
+    fn an_old_stamp_is_believed_and_complained_of_once_a_second() {
+        let mut clock = Clock::new(ms(9_000));
+        let mut complaints = Vec::new();
+        for n in 0..100 {
+            let now = ms(20_000 + 33 * n);
+            let taken = clock.place(Some(now - ms(5_000)), now);
+            assert_eq!(taken.age, ms(5_000));
+            if clock.is_complaint(taken.age, now) {
+                complaints.push(n);
+            }
+        }
+        assert_eq!(complaints, [0, 31, 62, 93]);
+        assert!(!clock.is_complaint(OLD, ms(90_000)));
+        assert!(clock.is_complaint(OLD + ms(1), ms(90_000)));
+    }
+
+    #[test]
+    fn times_grow_as_long_as_the_stamps_do() {
+        // Frames from before the source began, then some of the future, then late ones.
+        let mut clock = Clock::new(ms(9_000));
+        let (mut stamp, mut now, mut last) = (ms(8_000), ms(9_001), None);
+        for n in 0..1_000_u64 {
+            stamp += Duration::from_nanos(1 + n * 15_485_863 % 9_000_000);
+            now += Duration::from_nanos(1 + n * 104_729 % 6_000_000);
+            let taken = clock.place(Some(stamp), now);
+            assert_eq!(taken.age, now.saturating_sub(stamp), "frame {n}");
+            assert!(last.is_none_or(|last| taken.at > last), "frame {n}");
+            last = Some(taken.at);
+        }
+        assert!(stamp > now);
+    }
+
+    #[test]
+    fn the_clock_of_the_source_is_the_one_that_drivers_use() {
+        let uptime = || {
+            let text = std::fs::read_to_string("/proc/uptime").unwrap();
+            let seconds: f64 = text.split_whitespace().next().unwrap().parse().unwrap();
+            seconds
         };
-        assert_eq!(
-            Order::default().waited(&unknown, Duration::ZERO),
-            Duration::ZERO
-        );
+        // The time since the start also counts while the computer sleeps, the monotonic clock does not.
+        assert!(monotonic_now().as_secs_f64() <= uptime() + 1.0);
+        let before = monotonic_now();
+        std::thread::sleep(ms(5));
+        assert!(monotonic_now() >= before + ms(5));
     }
 
     #[test]

@@ -1,6 +1,7 @@
 //! Names of drives: which stand for many, in which order they come, and whether what they name has changed.
 
 use std::fs;
+use std::io::ErrorKind;
 use std::path::Path;
 use std::time::UNIX_EPOCH;
 
@@ -125,9 +126,12 @@ pub fn stamp(name: &str) -> Result<String, SourceError> {
         return Ok(String::new());
     }
     let FileName { path, .. } = file_name(name)?;
-    let unreadable = |error| SourceError::Unreadable {
-        path: path.to_owned(),
-        error,
+    let unreadable = |error: std::io::Error| match error.kind() {
+        ErrorKind::NotFound => SourceError::Missing(path.to_owned()),
+        _ => SourceError::Unreadable {
+            path: path.to_owned(),
+            error,
+        },
     };
     let mut lines = Vec::new();
     if path.is_dir() {

@@ -33,6 +33,11 @@ const LISTED_MAX: usize = 20;
 /// A longer step from one image to the next is taken for a wrong time stamp.
 const STEP_MAX: Duration = Duration::from_secs(3_600);
 
+/// Of so many images that bear the time of the one before, until so many in a row do not, the stamps are too coarse to be a
+/// clock. Our own choice.
+const STILL_MAX: u32 = 3;
+const MOVING: u32 = 10;
+
 /// Whether a file begins as a recording does, or is called one.
 pub fn is_recording(path: &Path) -> bool {
     let begins = || {
@@ -139,6 +144,9 @@ struct Clock {
     began_at: Option<Duration>,
     /// Images bear their own time; otherwise the time at which they were recorded counts.
     own: bool,
+    /// Images that bear the time of the one before although they were recorded later, and how many others followed since.
+    still: u32,
+    moving: u32,
     last_stamp: Duration,
     last_log_time: Duration,
     last: Duration,
@@ -146,10 +154,13 @@ struct Clock {
 
 impl Clock {
     /// Where an image lies in time. One whose time is not after the one before, or more than an hour after it, stands still,
-    /// which the monitor takes for a fault of the camera; time goes on from there.
+    /// which the monitor takes for a fault of the camera; time goes on from there. Stamps that often stand still are no clock:
+    /// from then on the time of recording counts.
     fn place(&mut self, log_time: Duration, own: Option<Duration>) -> Duration {
         if self.began_at.is_none() {
             self.own = own.is_some_and(|stamp| !stamp.is_zero());
+        } else if self.own && log_time > self.last_log_time {
+            self.watch_stamps(own);
         }
         let stamp = match own.filter(|_| self.own) {
             Some(own) => own,
@@ -169,6 +180,24 @@ impl Clock {
             self.last += step;
         }
         self.last
+    }
+
+    fn watch_stamps(&mut self, own: Option<Duration>) {
+        if own == Some(self.last_stamp) {
+            (self.still, self.moving) = (self.still + 1, 0);
+        } else {
+            self.moving += 1;
+        }
+        if self.moving >= MOVING {
+            self.still = 0;
+        }
+        if self.still >= STILL_MAX {
+            log::warn!(
+                "the stamps of images stand still; from now on the time of recording counts"
+            );
+            self.own = false;
+            self.last_stamp = self.last_log_time;
+        }
     }
 }
 
@@ -468,5 +497,43 @@ mod tests {
         let placed = [500, 600, 700].map(|log| clock.place(ms(log), Some(Duration::ZERO)));
         assert_eq!(placed, [0, 100, 200].map(ms));
         assert_eq!(clock.began_at, Some(ms(500)));
+    }
+
+    /// Times of images at 10 and 2 a second whose stamps are whole seconds.
+    #[test]
+    fn stamps_too_coarse_to_be_a_clock_are_left_for_the_time_of_recording() {
+        for period in [100, 500] {
+            let mut clock = Clock::default();
+            let placed: Vec<Duration> = (0..100)
+                .map(|n| {
+                    let recorded = Duration::from_millis(1_500_000 + period * n);
+                    clock.place(recorded, Some(Duration::from_secs(recorded.as_secs())))
+                })
+                .collect();
+            let still = placed.windows(2).filter(|pair| pair[0] == pair[1]).count();
+            assert_eq!(still, 2, "every {period} ms: {placed:?}");
+            let steady = placed[10..].windows(2).map(|pair| pair[1] - pair[0]);
+            assert!(
+                steady
+                    .into_iter()
+                    .all(|step| step == Duration::from_millis(period))
+            );
+        }
+    }
+
+    #[test]
+    fn an_image_that_bears_the_time_of_the_one_before_now_and_then_stands_still_alone() {
+        let mut clock = Clock::default();
+        let ms = Duration::from_millis;
+        let mut still = 0;
+        let mut last = None;
+        for n in 0..200 {
+            let stamp = if n % 20 == 7 { n - 1 } else { n };
+            let placed = clock.place(ms(1_000 + 100 * n), Some(ms(5_000 + 100 * stamp)));
+            still += u32::from(last == Some(placed));
+            last = Some(placed);
+        }
+        assert!(clock.own);
+        assert_eq!((still, last), (10, Some(ms(19_900))));
     }
 }

@@ -151,13 +151,10 @@ pub fn severities_at(conditions: &[Condition], t_s: f64) -> Severities {
     severities
 }
 
-/// A condition that cannot be read.
+/// A condition that cannot be read. Who reports it says what was found.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
-#[error(
-    "condition {found:?}: wanted KIND:SEVERITY or KIND:SEVERITY@FROM-TO, for example fog:3@20-40 ({wanted})"
-)]
+#[error("wanted KIND:SEVERITY or KIND:SEVERITY@FROM-TO, for example fog:3@20-40 ({wanted})")]
 pub struct ConditionError {
-    found: String,
     wanted: String,
 }
 
@@ -166,7 +163,6 @@ impl FromStr for Condition {
 
     fn from_str(text: &str) -> Result<Self, ConditionError> {
         let error = |wanted: &str| ConditionError {
-            found: text.to_owned(),
             wanted: wanted.to_owned(),
         };
         let (kind, rest) = text
@@ -247,10 +243,7 @@ mod tests {
             ("fog:3@x", "FROM-TO"),
         ] {
             let message = text.parse::<Condition>().unwrap_err().to_string();
-            assert!(
-                message.contains(part) && message.contains(text),
-                "{message}"
-            );
+            assert!(message.contains(part), "{message}");
         }
     }
 

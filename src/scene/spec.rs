@@ -54,16 +54,26 @@ impl DriveSpec {
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum SpecError {
     /// The look or an element is not one of ours.
-    #[error("scene {0}")]
-    World(#[from] WorldError),
+    #[error("scene {found:?}: {error}")]
+    World {
+        /// As typed.
+        found: String,
+        /// What would do.
+        error: WorldError,
+    },
     /// A parameter is unknown or has a value out of range.
     #[error(
         "scene parameter {0:?}: wanted seed=N, seconds=0.1..86400, fps=0.1..240, size=WxH, without=ELEMENT or condition=KIND:SEVERITY[@FROM-TO]"
     )]
     Parameter(String),
     /// A condition cannot be read.
-    #[error(transparent)]
-    Condition(#[from] ConditionError),
+    #[error("scene condition {found:?}: {error}")]
+    Condition {
+        /// As typed.
+        found: String,
+        /// What would do.
+        error: ConditionError,
+    },
 }
 
 impl FromStr for DriveSpec {
@@ -72,8 +82,13 @@ impl FromStr for DriveSpec {
     /// Reads what follows `scene:`.
     fn from_str(text: &str) -> Result<Self, SpecError> {
         let (name, parameters) = text.split_once('?').unwrap_or((text, ""));
+        let look_or_element = |found: &str, error: WorldError| SpecError::World {
+            found: found.to_owned(),
+            error,
+        };
+        let look: Look = name.parse().map_err(|error| look_or_element(name, error))?;
         let mut spec = Self {
-            world: World::of(name.parse::<Look>()?),
+            world: World::of(look),
             ..Self::default()
         };
         for parameter in parameters.split('&').filter(|p| !p.is_empty()) {
@@ -91,8 +106,17 @@ impl FromStr for DriveSpec {
                 "seconds" => spec.seconds = number(0.1..=86_400.0)?,
                 "fps" => spec.fps = number(0.1..=240.0)?,
                 "size" => spec.size_px = size(value).ok_or_else(wrong)?,
-                "without" => spec.world.without.push(value.parse()?),
-                "condition" => spec.conditions.push(value.parse()?),
+                "without" => {
+                    let element = value.parse().map_err(|error| look_or_element(value, error));
+                    spec.world.without.push(element?);
+                }
+                "condition" => {
+                    let condition = value.parse().map_err(|error| SpecError::Condition {
+                        found: value.to_owned(),
+                        error,
+                    });
+                    spec.conditions.push(condition?);
+                }
                 _ => return Err(wrong()),
             }
         }
@@ -131,7 +155,7 @@ mod tests {
             ("sim?size=8x8", "size=8x8"),
             ("sim?without=rain", "no such element; wanted curves"),
             ("sim?seconds=inf", "seconds=inf"),
-            ("sim?condition=fog", "fog"),
+            ("sim?condition=fog", "scene condition \"fog\": wanted KIND"),
         ] {
             let message = text.parse::<DriveSpec>().unwrap_err().to_string();
             assert!(message.contains(part), "{message}");

@@ -30,12 +30,11 @@ impl Look {
     }
 }
 
-/// A look or an element that does not exist.
+/// A look or an element that does not exist. Who reports it says what was found.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{found:?}: no such {what}; wanted {known}")]
+#[error("no such {what}; wanted {known}")]
 pub struct WorldError {
     what: &'static str,
-    found: String,
     known: String,
 }
 
@@ -46,7 +45,6 @@ impl FromStr for Look {
         let named = Self::ALL.into_iter().find(|look| look.name() == text);
         named.ok_or_else(|| WorldError {
             what: "look",
-            found: text.to_owned(),
             known: Self::ALL.map(Self::name).join(", "),
         })
     }
@@ -143,7 +141,6 @@ impl FromStr for Element {
         let named = Self::ALL.into_iter().find(|element| element.name() == text);
         named.ok_or_else(|| WorldError {
             what: "element",
-            found: text.to_owned(),
             known: Self::ALL.map(Self::name).join(", "),
         })
     }

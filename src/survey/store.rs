@@ -22,7 +22,7 @@ use crate::durable::create_folders;
 use crate::energies::BlockMeans;
 use crate::reference::ModelFingerprint;
 use crate::temporary_folder::TemporaryFolder;
-use crate::whole_file::WholeFile;
+use crate::whole_file::{WholeFile, unnamed};
 
 const MAGIC: &[u8; 16] = b"gapwatch-survey\n";
 const VERSION: u32 = 1;
@@ -135,8 +135,13 @@ impl SurveyStore {
             None if disk.is_dir() => disk.to_owned(),
             _ => std::env::temp_dir(),
         };
-        let folder = TemporaryFolder::create(&place, "gapwatch-surveys-", 0o700)
-            .map_err(|error| StoreError::File { path: place, error })?;
+        let folder =
+            TemporaryFolder::create(&place, "gapwatch-surveys-", 0o700).map_err(|error| {
+                StoreError::File {
+                    error: unnamed(&error),
+                    path: place,
+                }
+            })?;
         Ok(Self {
             folders: vec![folder.path().to_owned()],
             _temporary: Some(folder),

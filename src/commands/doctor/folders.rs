@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use gapwatch::evidence::{Found, examine};
+use gapwatch::whole_file::unnamed;
 
 use super::Check;
 
@@ -59,7 +60,7 @@ pub fn check(what: &'static str, place: Option<&Path>, board: &Path) -> Check {
         Ok(found) => Check::pass(what, format!("{} can be written{found}", place.display())),
         Err(error) => Check::fail(
             what,
-            format!("{}: {error}", folder.display()),
+            format!("{}: {}", folder.display(), unnamed(&error)),
             "make the folder, let this user write it (in the service: StateDirectory), or name another",
         ),
     }

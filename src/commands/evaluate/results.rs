@@ -1,11 +1,11 @@
 //! Results as a file: JSON with one key an evaluation, which are made and made again one by one.
 
-use std::fs;
 use std::io::Write;
 use std::path::Path;
 
-use anyhow::{Context, bail};
-use gapwatch::whole_file::WholeFile;
+use anyhow::{Context, anyhow, bail};
+use gapwatch::json_fault::fault;
+use gapwatch::whole_file::{WholeFile, read_whole};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value, json};
@@ -14,6 +14,8 @@ use crate::args::EvaluateKey;
 
 /// Key of the version of the program that wrote the file last: by it such a file is known.
 const VERSION: &str = "gapwatch";
+/// Largest file of results.
+const BYTES_MAX: u64 = 64 << 20;
 /// Key of how the others were made.
 const MADE: &str = "made";
 
@@ -49,12 +51,12 @@ impl Results {
     /// When it cannot be read or is another kind of file.
     pub fn read(path: &Path) -> anyhow::Result<Self> {
         let name = path.display();
-        let text = fs::read(path).with_context(|| format!("cannot read {name}"))?;
+        let text = read_whole(path, BYTES_MAX).with_context(|| format!("cannot read {name}"))?;
         let wanted = "wanted results as gapwatch evaluate --out writes them";
         match serde_json::from_slice(&text) {
             Ok(Value::Object(of)) if of.get(VERSION).is_some_and(Value::is_string) => Ok(Self(of)),
             Ok(_) => bail!("{name}: JSON without the key {VERSION:?}; {wanted}"),
-            Err(error) => bail!("{name}: not JSON ({error}); {wanted}"),
+            Err(error) => bail!("{name}: {}; {wanted}", fault(&error)),
         }
     }
 
@@ -116,10 +118,11 @@ impl Results {
         let rows = self.0.get(&key.name()).cloned();
         rows.map(serde_json::from_value)
             .transpose()
-            .with_context(|| {
+            .map_err(|error| {
                 let name = key.name();
-                format!(
-                    "{name}: rows of another version; wanted them made again with --only {name}"
+                anyhow!(
+                    "{name}: rows of another version ({}); wanted them made again with --only {name}",
+                    fault(&error)
                 )
             })
     }
@@ -215,6 +218,8 @@ fn cannot_write(path: &Path) -> String {
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
+    use std::fs;
+
     use super::*;
 
     #[derive(Debug, PartialEq, Serialize, Deserialize)]

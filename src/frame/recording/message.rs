@@ -13,6 +13,7 @@ use serde::Deserialize;
 use crate::frame::compressed::decoded;
 use crate::frame::pixels::{Layout, PixelFormat, Pixels};
 use crate::frame::{PIXELS_MAX, Picture};
+use crate::json_fault::fault;
 
 /// What is understood, for messages to people.
 pub const UNDERSTOOD: &str = "sensor_msgs/msg/Image or CompressedImage in cdr, foxglove.RawImage or CompressedImage in protobuf or json";
@@ -91,7 +92,7 @@ impl Kind {
             }
             Self::RawImageJson => {
                 let raw: RawImageJson =
-                    serde_json::from_slice(message).map_err(|error| error.to_string())?;
+                    serde_json::from_slice(message).map_err(|error| fault(&error))?;
                 let data = from_base64(&raw.data)?;
                 Ok(Image {
                     stamp: raw.timestamp.since_epoch(),
@@ -100,7 +101,7 @@ impl Kind {
             }
             Self::CompressedImageJson => {
                 let compressed: CompressedImageJson =
-                    serde_json::from_slice(message).map_err(|error| error.to_string())?;
+                    serde_json::from_slice(message).map_err(|error| fault(&error))?;
                 Ok(Image {
                     stamp: compressed.timestamp.since_epoch(),
                     picture: decoded(&from_base64(&compressed.data)?).map(Pixels::from),
