@@ -109,6 +109,9 @@ impl About {
 /// What was measured of false alarms, in words.
 fn known_of(alarms: &FalseAlarms) -> String {
     let drives = |what: &str, on: &NominalDrives| {
+        if on.hours <= 0.0 {
+            return format!("; {what} on no drive that could be judged");
+        }
         format!(
             "; {what} on {} nominal drives of {} together: {} entries into Gap",
             on.drives,

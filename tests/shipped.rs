@@ -131,11 +131,18 @@ fn the_command_in_the_reference_makes_it_again() {
     let folder = tempfile::tempdir().unwrap();
     gapwatch_in(folder.path(), &args).ok();
     let again = fs::read_to_string(folder.path().join("again.json")).unwrap();
-    assert_alike(
-        "reference",
-        &serde_json::from_str(&again).unwrap(),
-        &shipped,
-    );
+    let mut again: Value = serde_json::from_str(&again).unwrap();
+    // Entries by drive were not resampled when the shipped file was made.
+    for drives in ["chosen_on", "judged_on"] {
+        let shipped = &shipped["false_alarms"][drives];
+        let again = again["false_alarms"][drives].as_object_mut().unwrap();
+        let resampled = again.remove("resampled").unwrap();
+        if let Some(shipped) = shipped.get("resampled") {
+            assert_alike("resampled", &resampled, shipped);
+            again.insert("resampled".to_owned(), resampled);
+        }
+    }
+    assert_alike("reference", &again, &shipped);
 }
 
 #[test]
