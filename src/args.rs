@@ -100,7 +100,7 @@ pub struct ReplayArgs {
 
 /// Watch a camera and warn on CAN, as the board file says
 ///
-/// Runs until SIGTERM or SIGINT, then says on the bus that it has stopped. One line on standard output for each change of
+/// Runs until SIGTERM, SIGINT or SIGHUP, then says on the bus that it has stopped; a second signal ends it at once. One line on standard output for each change of
 /// state. A board whose source is a drive shows it at its own pace and ends with it.
 #[derive(Debug, Args)]
 #[command(

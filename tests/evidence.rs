@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
-use program::{files, gapwatch_in, verdict_lines, whole_events};
+use program::{SmallDisk, files, gapwatch_in, verdict_lines, whole_events};
 
 /// Noise that comes and goes: an alarm every 4 s.
 fn flicker(seconds: u32) -> String {
@@ -171,36 +171,6 @@ fn what_is_no_event_is_left_alone_and_read_past() {
     assert!(seen.join("000002").is_dir());
 }
 
-/// A small file system of its own at a folder, until it is dropped.
-struct SmallDisk<'a>(&'a Path);
-
-impl<'a> SmallDisk<'a> {
-    fn mount(folder: &'a Path, size: &str) -> Self {
-        let status = Command::new("mount")
-            .args([
-                "-t",
-                "tmpfs",
-                "-o",
-                &format!("size={size}"),
-                "gapwatch-test",
-            ])
-            .arg(folder)
-            .status();
-        assert!(status.unwrap().success(), "cannot mount a tmpfs");
-        Self(folder)
-    }
-
-    /// An image of an ext4 file system, which writes by itself only after five minutes.
-    fn mount_image(folder: &'a Path, image: &Path) -> Self {
-        let status = Command::new("mount")
-            .args(["-o", "loop,commit=300"])
-            .args([image, folder])
-            .status();
-        assert!(status.unwrap().success(), "cannot mount an image");
-        Self(folder)
-    }
-}
-
 /// What a disk of which `live` is the image would hold if the power were cut now.
 fn after_a_power_cut(live: &Path, copy: &Path) -> Vec<(PathBuf, Vec<u8>)> {
     fs::copy(live, copy).unwrap();
@@ -273,12 +243,6 @@ fn root_what_is_told_as_written_is_there_after_a_power_cut() {
         assert!(there.iter().all(|(_, bytes)| !bytes.is_empty()));
         // Byte for byte, nothing more and nothing less.
         assert!(after_a_power_cut(&image, &copy) == there, "{args:?}");
-    }
-}
-
-impl Drop for SmallDisk<'_> {
-    fn drop(&mut self) {
-        let _ = Command::new("umount").arg(self.0).status();
     }
 }
 

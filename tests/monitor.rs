@@ -162,10 +162,7 @@ fn a_signal_ends_it_with_a_last_word_and_a_whole_log() {
     let folder = tempfile::tempdir().unwrap();
     let mut child = monitor(folder.path(), &board("scene:sim?seed=7&seconds=60"), &[]);
     std::thread::sleep(Duration::from_millis(2_500));
-    let killed = Command::new("sh")
-        .args(["-c", &format!("kill -TERM {}", child.id())])
-        .status();
-    assert!(killed.unwrap().success());
+    signal(&child, "TERM");
     let since = Instant::now();
     assert!(child.wait().unwrap().success());
     assert!(since.elapsed() < Duration::from_secs(5));
@@ -175,6 +172,115 @@ fn a_signal_ends_it_with_a_last_word_and_a_whole_log() {
         (last.state, last.reason),
         (AlarmState::Unavailable, Reason::Stopped)
     );
+}
+
+/// Sends a signal by its name.
+fn signal(child: &Child, name: &str) {
+    let kill = format!("kill -{name} {}", child.id());
+    let killed = Command::new("sh").args(["-c", &kill]).status().unwrap();
+    assert!(killed.success(), "{kill}");
+}
+
+/// Waits until a file has so many whole lines.
+fn wait_for_lines(file: &Path, lines: usize) {
+    let until = Instant::now() + Duration::from_secs(60);
+    let whole = || {
+        let text = fs::read(file).unwrap_or_default();
+        text.iter().filter(|&&byte| byte == b'\n').count()
+    };
+    while whole() < lines {
+        assert!(Instant::now() < until, "{} lines", whole());
+        std::thread::sleep(Duration::from_millis(10));
+    }
+}
+
+#[test]
+fn a_hang_up_ends_it_in_order_and_a_killed_one_leaves_every_line_that_was_written() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("drive.jsonl");
+    let args = ["--journal", "drive.jsonl"];
+    let board = board("scene:sim?seed=7&seconds=60&size=160x80");
+    let run = |name: &str| {
+        let mut child = monitor(folder.path(), &board, &args);
+        wait_for_lines(&path, 12);
+        wait_for_lines(&folder.path().join("can.log"), 12);
+        signal(&child, name);
+        let ended = child.wait().unwrap();
+        let read = gapwatch::journal::read(&path).unwrap();
+        assert!(read.entries.len() >= 11);
+        (ended, read)
+    };
+    let (ended, read) = run("HUP");
+    assert!(ended.success());
+    assert_eq!(read.entries.last().unwrap().reason, "stopped");
+    assert!(!read.began.utc.is_empty() && read.about.source.starts_with("scene:sim"));
+    let (ended, read) = run("KILL");
+    assert!(!ended.success());
+    assert_ne!(read.entries.last().unwrap().reason, "stopped");
+    assert!(status_frames(folder.path()).len() >= 10);
+    // The run before is kept beside it, and nothing else is left.
+    let before = gapwatch::journal::read(&folder.path().join("drive.jsonl.1")).unwrap();
+    assert_eq!(before.entries.last().unwrap().reason, "stopped");
+    let left = program::names(folder.path());
+    let wanted = [
+        "board.toml",
+        "can.log",
+        "can.log.1",
+        "drive.jsonl",
+        "drive.jsonl.1",
+    ];
+    assert_eq!(left, wanted);
+}
+
+#[test]
+fn the_time_of_the_journal_never_runs_backwards_however_often_the_program_is_stopped() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("drive.jsonl");
+    let drive = "scene:sim?seed=7&seconds=60&size=160x80";
+    let mut child = monitor(folder.path(), &board(drive), &["--journal", "drive.jsonl"]);
+    for lines in [8, 20, 32, 44] {
+        wait_for_lines(&path, lines);
+        signal(&child, "STOP");
+        std::thread::sleep(Duration::from_millis(800));
+        signal(&child, "CONT");
+    }
+    wait_for_lines(&path, 56);
+    signal(&child, "TERM");
+    assert!(child.wait().unwrap().success());
+    let read = gapwatch::journal::read(&path).unwrap();
+    let unjudged = read.entries.iter().filter(|entry| entry.score.is_none());
+    assert!(unjudged.count() >= 4, "no stop was noticed");
+    let report = ["report", "drive.jsonl", "--out", "r.html"];
+    program::gapwatch_in(folder.path(), &report).ok();
+}
+
+#[test]
+#[ignore = "needs root for a small disk: run tests/run"]
+fn root_a_full_disk_under_the_log_costs_the_journal_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    let small = folder.path().join("small");
+    fs::create_dir(&small).unwrap();
+    let disk = program::SmallDisk::mount(&small, "4k");
+    let board =
+        board("scene:sim?seed=7&seconds=60&size=160x80").replace("can.log", "small/can.log");
+    let mut child = monitor(folder.path(), &board, &["--journal", "drive.jsonl"]);
+    // The log is full after 80 lines, 7 s or less.
+    wait_for_lines(&folder.path().join("drive.jsonl"), 120);
+    signal(&child, "TERM");
+    let ended = child.wait().unwrap();
+    // The log stands for the bus, and it is not whole.
+    assert_eq!(ended.code(), Some(2));
+    let log = fs::read_to_string(small.join("can.log")).unwrap();
+    assert!(
+        log.ends_with('\n') && log.len() <= 4_096,
+        "{} bytes",
+        log.len()
+    );
+    assert!(log.lines().all(|line| line.len() >= 40));
+    drop(disk);
+    let read = gapwatch::journal::read(&folder.path().join("drive.jsonl")).unwrap();
+    assert!(read.entries.len() >= 119 && !read.breaks_off);
+    assert_eq!(read.entries.last().unwrap().reason, "stopped");
 }
 
 #[test]

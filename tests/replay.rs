@@ -1,11 +1,18 @@
 //! Drives through the whole chain: states, journal, bus, exit codes.
-#![allow(clippy::unwrap_used, clippy::float_cmp)]
+#![allow(
+    clippy::unwrap_used,
+    clippy::float_cmp,
+    clippy::cast_possible_truncation
+)]
 
 mod program;
 
-use program::{assert_expected, gapwatch_in, journal_of};
+use program::{assert_expected, gapwatch_in, journal_of, names};
 use serde_json::Value;
 use std::fs;
+use std::io::Read;
+use std::process::{Child, Command, Stdio};
+use std::time::Duration;
 
 /// The replay's words, without the time it took.
 fn without_duration(out: &str) -> String {
@@ -190,4 +197,78 @@ fn silence_between_frames_is_unavailable_on_the_bus_and_in_the_journal() {
         let age = f64::from(byte(1) >> 4) * 0.1;
         assert!((age - since).abs() < 0.16, "{line}: age {age} s");
     }
+}
+
+#[test]
+fn a_signal_ends_a_replay_in_order_and_a_second_one_at_once() {
+    let folder = tempfile::tempdir().unwrap();
+    let start = |source: &str| {
+        let outputs = ["--journal", "j", "--mcap", "m.mcap", "--can", "log:l"];
+        Command::new(env!("CARGO_BIN_EXE_gapwatch"))
+            .args(["replay", source, "--evidence", "seen"])
+            .args(outputs)
+            .current_dir(folder.path())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap()
+    };
+    let signal = |child: &Child, name: &str| {
+        let kill = format!("kill -{name} {}", child.id());
+        assert!(
+            Command::new("sh")
+                .args(["-c", &kill])
+                .status()
+                .unwrap()
+                .success()
+        );
+    };
+    // It has begun when it has told people of its first frame.
+    let begun = |child: &mut Child| {
+        let mut first = [0];
+        child
+            .stdout
+            .as_mut()
+            .unwrap()
+            .read_exact(&mut first)
+            .unwrap();
+    };
+    for name in ["INT", "TERM", "HUP"] {
+        let mut child = start("scene:sim?seed=7&seconds=3600&size=160x80");
+        begun(&mut child);
+        signal(&child, name);
+        let done = child.wait_with_output().unwrap();
+        let said = String::from_utf8(done.stderr).unwrap();
+        assert_eq!(done.status.code(), Some(2), "{said}");
+        assert!(said.contains("stopped by a signal after "), "{said}");
+        let read = gapwatch::journal::read(&folder.path().join("j")).unwrap();
+        assert!(!read.breaks_off);
+        let frames = read.entries.len();
+        let again = ["replay", "m.mcap", "--journal", "k"];
+        gapwatch_in(folder.path(), &again).ok();
+        assert_eq!(journal_of(&folder.path().join("k")).len(), frames);
+        let log = fs::read_to_string(folder.path().join("l")).unwrap();
+        assert!(log.ends_with('\n') && log.contains(" 5D0#"));
+        let left = names(folder.path());
+        assert_eq!(left, ["j", "k", "l", "m.mcap", "seen"], "after {name}");
+        fs::remove_file(folder.path().join("k")).unwrap();
+    }
+
+    // A picture that never comes.
+    fs::create_dir(folder.path().join("stuck")).unwrap();
+    image::RgbImage::from_fn(64, 32, |x, y| image::Rgb([x as u8, y as u8, 90]))
+        .save(folder.path().join("stuck/0.png"))
+        .unwrap();
+    let fifo = folder.path().join("stuck/1.png");
+    assert!(Command::new("mkfifo").arg(fifo).status().unwrap().success());
+    let mut child = start("stuck");
+    begun(&mut child);
+    signal(&child, "INT");
+    std::thread::sleep(Duration::from_millis(300));
+    assert!(
+        child.try_wait().unwrap().is_none(),
+        "it did not wait for the picture"
+    );
+    signal(&child, "INT");
+    assert_eq!(child.wait().unwrap().code(), Some(130));
 }

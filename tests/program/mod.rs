@@ -170,3 +170,48 @@ pub fn whole_events(folder: &Path) -> Vec<String> {
     events.sort();
     events
 }
+
+/// A small file system of its own at a folder, until it is dropped.
+pub struct SmallDisk<'a>(&'a Path);
+
+impl<'a> SmallDisk<'a> {
+    pub fn mount(folder: &'a Path, size: &str) -> Self {
+        let status = Command::new("mount")
+            .args([
+                "-t",
+                "tmpfs",
+                "-o",
+                &format!("size={size}"),
+                "gapwatch-test",
+            ])
+            .arg(folder)
+            .status();
+        assert!(status.unwrap().success(), "cannot mount a tmpfs");
+        Self(folder)
+    }
+
+    /// An image of an ext4 file system, which writes by itself only after five minutes.
+    pub fn mount_image(folder: &'a Path, image: &Path) -> Self {
+        let status = Command::new("mount")
+            .args(["-o", "loop,commit=300"])
+            .args([image, folder])
+            .status();
+        assert!(status.unwrap().success(), "cannot mount an image");
+        Self(folder)
+    }
+}
+
+impl Drop for SmallDisk<'_> {
+    fn drop(&mut self) {
+        let _ = Command::new("umount").arg(self.0).status();
+    }
+}
+
+/// Names in a folder, sorted.
+pub fn names(folder: &Path) -> Vec<String> {
+    let entries = fs::read_dir(folder).unwrap();
+    let name = |entry: fs::DirEntry| entry.file_name().into_string().unwrap();
+    let mut names: Vec<String> = entries.map(|entry| name(entry.unwrap())).collect();
+    names.sort();
+    names
+}
