@@ -200,8 +200,14 @@ fn a_hang_up_ends_it_in_order_and_a_killed_one_leaves_every_line_that_was_writte
     let path = folder.path().join("drive.jsonl");
     let args = ["--journal", "drive.jsonl"];
     let board = board("scene:sim?seed=7&seconds=60&size=160x80");
-    let run = |name: &str| {
+    let run = |name: &str, files: usize| {
         let mut child = monitor(folder.path(), &board, &args);
+        // It begins files of its own.
+        let until = Instant::now() + Duration::from_secs(60);
+        while program::names(folder.path()).len() < files {
+            assert!(Instant::now() < until, "no files");
+            std::thread::sleep(Duration::from_millis(10));
+        }
         wait_for_lines(&path, 12);
         wait_for_lines(&folder.path().join("can.log"), 12);
         signal(&child, name);
@@ -210,11 +216,11 @@ fn a_hang_up_ends_it_in_order_and_a_killed_one_leaves_every_line_that_was_writte
         assert!(read.entries.len() >= 11);
         (ended, read)
     };
-    let (ended, read) = run("HUP");
+    let (ended, read) = run("HUP", 3);
     assert!(ended.success());
     assert_eq!(read.entries.last().unwrap().reason, "stopped");
     assert!(!read.began.utc.is_empty() && read.about.source.starts_with("scene:sim"));
-    let (ended, read) = run("KILL");
+    let (ended, read) = run("KILL", 5);
     assert!(!ended.success());
     assert_ne!(read.entries.last().unwrap().reason, "stopped");
     assert!(status_frames(folder.path()).len() >= 10);

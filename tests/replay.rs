@@ -12,7 +12,7 @@ use serde_json::Value;
 use std::fs;
 use std::io::Read;
 use std::process::{Child, Command, Stdio};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// The replay's words, without the time it took.
 fn without_duration(out: &str) -> String {
@@ -254,21 +254,25 @@ fn a_signal_ends_a_replay_in_order_and_a_second_one_at_once() {
         fs::remove_file(folder.path().join("k")).unwrap();
     }
 
-    // A picture that never comes.
-    fs::create_dir(folder.path().join("stuck")).unwrap();
-    image::RgbImage::from_fn(64, 32, |x, y| image::Rgb([x as u8, y as u8, 90]))
-        .save(folder.path().join("stuck/0.png"))
+    // Nobody reads what it writes, so it waits for that.
+    let mut child = Command::new(env!("CARGO_BIN_EXE_gapwatch"))
+        .args(["replay", "scene:sim?seed=7&seconds=36000&size=64x32"])
+        .args(["--can", "log:-", "--quiet"])
+        .stdout(Stdio::piped())
+        .spawn()
         .unwrap();
-    let fifo = folder.path().join("stuck/1.png");
-    assert!(Command::new("mkfifo").arg(fifo).status().unwrap().success());
-    let mut child = start("stuck");
-    begun(&mut child);
+    let waits = || {
+        let stack = format!("/proc/{}/wchan", child.id());
+        fs::read_to_string(stack).is_ok_and(|at| at.contains("pipe"))
+    };
+    let until = Instant::now() + Duration::from_secs(60);
+    while !waits() {
+        assert!(Instant::now() < until, "it never waits");
+        std::thread::sleep(Duration::from_millis(20));
+    }
     signal(&child, "INT");
     std::thread::sleep(Duration::from_millis(300));
-    assert!(
-        child.try_wait().unwrap().is_none(),
-        "it did not wait for the picture"
-    );
+    assert!(child.try_wait().unwrap().is_none(), "it did not wait");
     signal(&child, "INT");
     assert_eq!(child.wait().unwrap().code(), Some(130));
 }

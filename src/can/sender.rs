@@ -108,9 +108,9 @@ impl StatusSender {
         outcome
     }
 
-    /// Whether something waits for the sink.
+    /// Whether something waits for the sink, or for the minimum gap to be over.
     pub fn is_waiting(&self) -> bool {
-        self.status.waiting.is_some() || self.health.waiting.is_some()
+        self.status.is_waiting() || self.health.is_waiting()
     }
 
     /// What became of the frames so far.
@@ -245,6 +245,13 @@ impl<T: Copy> Schedule<T> {
             }
             _ => Some(cyclic),
         }
+    }
+
+    /// Whether a frame waits, or a change that the car must hear of.
+    fn is_waiting(&self) -> bool {
+        let newest = self.update.as_ref().or(self.valid.as_ref());
+        let told = self.told.as_ref().zip(newest);
+        self.waiting.is_some() || told.is_some_and(|((_, told), (_, new))| (self.urgent)(told, new))
     }
 
     /// Lets a frame wait from `at` on, which stands for the cyclic one as well if that has fallen due meanwhile; `false` when
@@ -411,6 +418,18 @@ mod tests {
 
     #[test]
     fn change_inside_the_minimum_gap_waits_for_its_end() {
+        let (mut sender, mut bus) = (sender(), Bus::default());
+        sender.update(ms(0), &status(Init));
+        sender.poll(ms(0), &mut bus).unwrap();
+        assert!(!sender.is_waiting());
+        sender.update(ms(5), &status(Gap));
+        for now in 5..20 {
+            sender.poll(ms(now), &mut bus).unwrap();
+            assert!(sender.is_waiting(), "{now} ms");
+        }
+        sender.poll(ms(20), &mut bus).unwrap();
+        assert!(!sender.is_waiting());
+        assert_eq!(bus.states(), [(0, Init), (20, Gap)]);
         let changes = [(0, Init), (105, Suspect), (112, Gap)];
         let bus = drive(&changes, ms(1), ms(200));
         assert_eq!(

@@ -109,7 +109,7 @@ impl Teller {
             let parked = self.without_frame(now, Reason::Parked, None);
             self.tell(now, &parked, Duration::ZERO, show)?;
         }
-        if now.saturating_sub(self.heard_at) > self.silent && self.is_silence_news() {
+        if self.is_silent(now) {
             let silent = self.without_frame(now, Reason::Stale, Some(Undefined::Silence));
             self.tell(now, &silent, Duration::ZERO, show)?;
         }
@@ -176,12 +176,7 @@ impl Teller {
                 let verdict = in_time(verdict, latency);
                 self.tell(now, &verdict, latency, show)
             }
-            Word::Cleared(true) if self.last.is_unjudged() => self.tell_stored(now, false, show),
-            Word::Cleared(true) => {
-                // The next verdict says so, or the silence.
-                self.last.gap_stored = false;
-                Ok(())
-            }
+            Word::Cleared(true) => self.tell_stored(now, false, show),
             Word::Cleared(false) => {
                 log::warn!("GapClear is refused while the road is, or was when last seen, a Gap");
                 Ok(())
@@ -189,7 +184,7 @@ impl Teller {
         }
     }
 
-    /// No frame tells the bus of the stored bit while nobody looks, or nothing can be judged.
+    /// Tells of the stored bit without waiting for a frame: none comes while nobody looks.
     fn tell_stored(
         &mut self,
         now: Duration,
@@ -199,13 +194,17 @@ impl Teller {
         if self.last.gap_stored == gap_stored {
             return Ok(());
         }
+        if self.is_silent(now) {
+            // What is told next says so; what was known before is too old to be told again.
+            self.last.gap_stored = gap_stored;
+            return Ok(());
+        }
         let verdict = Verdict {
-            at: now,
             sequence: None,
             gap_stored,
             ..self.last.clone()
         };
-        self.tell(now, &verdict, Duration::ZERO, show)
+        self.tell(now, &verdict, now.saturating_sub(verdict.at), show)
     }
 
     /// Hears what others say on the bus, and whether that asks to clear the stored bit.
@@ -223,6 +222,11 @@ impl Teller {
             }
         }
         clear
+    }
+
+    /// The judge has said nothing for too long, and nobody was told.
+    fn is_silent(&self, now: Duration) -> bool {
+        now.saturating_sub(self.heard_at) > self.silent && self.is_silence_news()
     }
 
     /// Silence is no news after a fault, but it is after what was said of a car that stood and drives.

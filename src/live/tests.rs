@@ -690,7 +690,10 @@ impl World {
         self.now += STEP;
         let mut show = |said: Said<'_>| note(&wire, &said);
         self.teller.stop(self.now, &mut show).unwrap();
-        self.teller.offer(self.now + STEP);
+        while self.teller.is_waiting() {
+            self.now += MS;
+            self.teller.offer(self.now);
+        }
         let events = wire.borrow_mut().events.split_off(0);
         let last = events.iter().rev().find_map(|event| match event {
             Event::Sent(_, frame) if frame.id == 0x5D0 => GapStatus::from_bytes(&frame.data).ok(),
