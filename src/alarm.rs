@@ -3,7 +3,7 @@
 //! ```text
 //!            verdict for one window                     score >= 1
 //!   Init ------------------------------> Ok <--------------------------> Suspect
-//!                                        ^    counter back at 0, or 3 s     |
+//!                                        ^       counter back at 0          |
 //!                                        |                                  | counter reaches 127
 //!                                        +-------------- Gap <--------------+
 //!                                        counter back at 0
@@ -14,21 +14,19 @@
 //!
 //! The fault detection counter follows AUTOSAR's diagnostic event manager (Dem, counter-based debouncing with jump-up),
 //! but moves with elapsed time, so that the reaction does not depend on the frame rate. "Cannot judge" never reads as
-//! "no gap": while nothing can be judged the counter stands still, and after 500 ms the state says so.
+//! "no gap": while nothing can be judged the counter stands still, and after 500 ms the state says so. Suspicion from before
+//! a hole in time (`continuity`) counts for nothing behind it; a gap does until the road is seen to be nominal again.
 
 use std::time::Duration;
 
+use crate::continuity::Continuity;
 use crate::undefined::Undefined;
 
 /// Seconds of continuous evidence from 0 to the counter's upper end: a gap.
 const UP_S: f64 = 1.0;
 /// Seconds without evidence from the upper end back to 0, and again from 0 to the lower end.
 const DOWN_S: f64 = 2.0;
-/// Time without a verdict after which the state says that there is none.
-const STALE: Duration = Duration::from_millis(500);
-/// Longest stay in `Suspect`.
-const SUSPECT_MAX: Duration = Duration::from_secs(3);
-/// Longest time that one frame moves the counter: evidence does not reach across a hole, and one frame is no gap.
+/// Longest time that one frame moves the counter: one frame is no gap.
 const STEP_MAX: Duration = Duration::from_millis(500);
 
 const COUNTER_MAX: f64 = 127.0;
@@ -174,15 +172,14 @@ pub struct Alarm {
     in_gap: bool,
     gap_stored: bool,
     settled: bool,
+    /// When the last frame came, judged or not.
     last_frame: Option<Duration>,
+    /// When the last frame was judged, or the first one that was not.
     last_judged: Option<Duration>,
-    /// There was a verdict until now, but for moments, so the time since then counts.
-    sighted: bool,
-    suspect_since: Option<Duration>,
+    /// How frames that are judged follow each other.
+    judged: Continuity,
     /// What the last evidence was.
     evidence: Reason,
-    /// How long there may be no verdict.
-    patience: Duration,
 }
 
 impl Default for Alarm {
@@ -196,10 +193,8 @@ impl Default for Alarm {
             settled: false,
             last_frame: None,
             last_judged: None,
-            sighted: false,
-            suspect_since: None,
+            judged: Continuity::default(),
             evidence: Reason::Abrupt,
-            patience: STALE,
         }
     }
 }
@@ -209,14 +204,14 @@ impl Alarm {
     /// 500 ms at the earliest.
     pub fn with_frames_every(period: Duration) -> Self {
         Self {
-            patience: STALE.max(period * 3 / 2),
+            judged: Continuity::with_frames_every(period),
             ..Self::default()
         }
     }
 
     /// How long there may be no verdict before the state says so.
     pub fn patience(&self) -> Duration {
-        self.patience
+        self.judged.patience()
     }
 
     /// The state now.
@@ -261,61 +256,61 @@ impl Alarm {
         }
     }
 
+    /// Nobody has looked until `now`, since the car is parked: silence counts from then on, and suspicion begins anew.
+    pub fn rest(&mut self, now: Duration) {
+        self.judged.interrupt();
+        (self.state, self.reason) = (AlarmState::Unavailable, Reason::Parked);
+        self.last_frame = Some(now);
+        self.last_judged = Some(now);
+    }
+
     fn judged(&mut self, now: Duration, found: Option<Reason>, settled: bool) {
         let evidence = found.is_some();
-        // After a blind moment suspicion begins anew, if there is a reason for it.
-        if evidence && !self.sighted {
-            self.suspect_since = None;
-        }
         self.evidence = found.unwrap_or(self.evidence);
-        let since = match self.last_judged {
-            Some(last) if self.sighted => now.saturating_sub(last).min(STEP_MAX),
-            _ => Duration::ZERO,
-        };
+        let since = self.judged.step(now);
+        if since.is_none() && !self.in_gap {
+            self.counter = self.counter.min(0.0);
+        }
+        let since_s = since.unwrap_or_default().min(STEP_MAX).as_secs_f64();
         self.last_judged = Some(now);
-        self.sighted = true;
         self.settled |= settled;
         if !self.settled {
             (self.state, self.reason) = (AlarmState::Init, Reason::Starting);
             return;
         }
         self.counter = if evidence {
-            (self.counter.max(0.0) + COUNTER_MAX * since.as_secs_f64() / UP_S).min(COUNTER_MAX)
+            (self.counter.max(0.0) + COUNTER_MAX * since_s / UP_S).min(COUNTER_MAX)
         } else {
-            (self.counter - COUNTER_MAX * since.as_secs_f64() / DOWN_S).max(COUNTER_MIN)
+            (self.counter - COUNTER_MAX * since_s / DOWN_S).max(COUNTER_MIN)
         };
         if self.counter >= COUNTER_MAX {
             (self.in_gap, self.gap_stored) = (true, true);
         } else if self.counter <= 0.0 {
             self.in_gap = false;
-            if !evidence {
-                self.suspect_since = None;
-            }
         }
-        if (evidence || self.counter > 0.0) && !self.in_gap {
-            self.suspect_since.get_or_insert(now);
-        }
-        (self.state, self.reason) = match self.suspect_since {
-            _ if self.in_gap => (AlarmState::Gap, self.evidence),
-            Some(since) if now.saturating_sub(since) <= SUSPECT_MAX => {
-                (AlarmState::Suspect, self.evidence)
-            }
-            _ => (AlarmState::Ok, Reason::None),
+        (self.state, self.reason) = if self.in_gap {
+            (AlarmState::Gap, self.evidence)
+        } else if evidence || self.counter > 0.0 {
+            (AlarmState::Suspect, self.evidence)
+        } else {
+            (AlarmState::Ok, Reason::None)
         };
     }
 
     /// When the silence after the last frame becomes too long; `None` before the first frame.
     pub fn stale_at(&self) -> Option<Duration> {
-        self.last_frame.map(|last| last + self.patience)
+        self.last_frame.map(|last| last + self.patience())
     }
 
     fn not_judged(&mut self, now: Duration, reason: Reason) {
         let since = *self.last_judged.get_or_insert(now);
-        if now.saturating_sub(since) < self.patience {
+        if now.saturating_sub(since) < self.patience() {
             return;
         }
-        // Silence between slow frames is no blindness: they still add up.
-        self.sighted &= reason == Reason::Stale;
+        // Silence between slow frames is no blindness: whether they follow each other shows when the next one comes.
+        if reason != Reason::Stale {
+            self.judged.interrupt();
+        }
         self.state = if reason.is_sensor_fault() {
             AlarmState::SensorFault
         } else {
@@ -453,33 +448,99 @@ mod tests {
     }
 
     #[test]
-    fn suspicion_lasts_three_seconds_at_most() {
-        // Evidence in every third frame: the counter hovers above 0 and never reaches its end.
+    fn suspicion_lasts_as_long_as_evidence_comes_and_the_counter_is_above_0() {
+        // Evidence in every other frame: the counter climbs by 12.7 and falls by 6.35.
         let mut alarm = Alarm::default();
-        let mut longest = 0;
-        let mut run = 0;
-        for frame in 0..600_u32 {
-            let score = if frame > 20 && frame % 3 == 0 {
-                2.0
-            } else {
-                0.0
+        for tenth in 0..100_u32 {
+            let evident = (20..60).contains(&tenth) && tenth % 2 == 0;
+            let judgement = Judgement::Score {
+                score: if evident { 2.0 } else { 0.0 },
+                settled: tenth >= 10,
             };
-            alarm.step(
-                Duration::from_millis(100) * frame,
-                Judgement::Score {
-                    score,
-                    settled: frame > 10,
-                },
-            );
-            run = if alarm.state() == AlarmState::Suspect {
-                run + 1
-            } else {
-                0
+            alarm.step(Duration::from_millis(100) * tenth, judgement);
+            let wanted = match tenth {
+                0..10 => AlarmState::Init,
+                20..56 => AlarmState::Suspect,
+                56..78 => AlarmState::Gap,
+                // 2 s after the last evidence, or a frame later.
+                78 => continue,
+                _ => AlarmState::Ok,
             };
-            longest = longest.max(run);
-            assert_ne!(alarm.state(), AlarmState::Gap);
+            assert_eq!(alarm.state(), wanted, "frame {tenth}");
         }
-        assert!((1..=31).contains(&longest), "{longest} frames of 100 ms");
+    }
+
+    #[test]
+    fn evidence_that_hovers_stays_suspect_and_is_no_gap() {
+        // Evidence in every third frame: the counter comes back to 0 each time.
+        let mut alarm = Alarm::default();
+        for tenth in 0..600_u32 {
+            let evident = tenth > 20 && tenth % 3 == 0;
+            let judgement = Judgement::Score {
+                score: if evident { 2.0 } else { 0.0 },
+                settled: tenth > 10,
+            };
+            alarm.step(Duration::from_millis(100) * tenth, judgement);
+            assert_ne!(alarm.state(), AlarmState::Gap, "frame {tenth}");
+            if evident {
+                assert_eq!(alarm.state(), AlarmState::Suspect, "frame {tenth}");
+            }
+        }
+    }
+
+    #[test]
+    fn evidence_from_before_a_hole_counts_for_nothing_behind_it() {
+        let ms = Duration::from_millis;
+        let judged = |score| Judgement::Score {
+            score,
+            settled: true,
+        };
+        for (hole_ms, rests) in [(501, false), (600_000, false), (600_000, true)] {
+            let mut alarm = Alarm::default();
+            (0..14).for_each(|tenth| alarm.step(ms(100 * tenth), judged(0.0)));
+            (14..20).for_each(|tenth| alarm.step(ms(100 * tenth), judged(9.0)));
+            assert_eq!(alarm.fault_detection_counter(), 76);
+            let behind = 1_900 + hole_ms;
+            if rests {
+                alarm.rest(ms(behind));
+                assert_eq!(alarm.stale_at(), Some(ms(behind + 500)));
+                // What cannot be judged then is not what was judged before.
+                alarm.step(ms(behind), Judgement::Cannot(Reason::Black));
+                let parked = (AlarmState::Unavailable, Reason::Parked);
+                assert_eq!((alarm.state(), alarm.reason()), parked);
+            }
+            let mut gap_after = None;
+            for tenth in 0..20 {
+                alarm.step(ms(behind + 100 * tenth), judged(9.0));
+                if alarm.state() == AlarmState::Gap {
+                    gap_after.get_or_insert(tenth);
+                } else {
+                    assert_eq!(alarm.state(), AlarmState::Suspect);
+                    assert!(!alarm.gap_stored());
+                }
+            }
+            assert_eq!(gap_after, Some(10), "hole of {hole_ms} ms");
+        }
+    }
+
+    #[test]
+    fn slow_frames_add_up_and_a_gap_lasts_through_a_hole() {
+        let s = Duration::from_secs;
+        let judged = |score| Judgement::Score {
+            score,
+            settled: true,
+        };
+        let mut alarm = Alarm::default();
+        let mut states = vec![];
+        for second in 0..6 {
+            alarm.step(s(second), judged(9.0));
+            states.push(alarm.state());
+        }
+        // The first pause may be a hole; each of the others moves the counter by half a second.
+        use AlarmState::{Gap, Suspect};
+        assert_eq!(states, [Suspect, Suspect, Suspect, Gap, Gap, Gap]);
+        alarm.step(s(900), judged(0.0));
+        assert_eq!(alarm.state(), Gap);
     }
 
     #[test]
@@ -644,9 +705,9 @@ mod tests {
                 },
                 Reason::Corrupt,
             ),
-            (Undefined::Frozen(STALE), Reason::Frozen),
+            (Undefined::Frozen(STEP_MAX), Reason::Frozen),
             (Undefined::Covered { percent: 70 }, Reason::Covered),
-            (Undefined::Late(STALE), Reason::Lagging),
+            (Undefined::Late(STEP_MAX), Reason::Lagging),
             (Undefined::ConstantMap, Reason::Undefined),
         ] {
             assert_eq!(Reason::from(&why), reason, "{why}");
@@ -696,26 +757,6 @@ mod tests {
         assert_eq!(counted[30], 12);
         assert_eq!(counted[34], 63);
         assert_eq!(counted[39], 127);
-    }
-
-    #[test]
-    fn suspicion_that_goes_on_becomes_ok_after_three_seconds_and_a_gap_all_the_same() {
-        // Evidence in two of five frames: 25 up, 19 down.
-        let mut alarm = Alarm::default();
-        for tenth in 0..=101_u32 {
-            let evident = tenth >= 20 && tenth % 5 < 2;
-            let judgement = Judgement::Score {
-                score: if evident { 2.0 } else { 0.0 },
-                settled: true,
-            };
-            alarm.step(Duration::from_millis(100) * tenth, judgement);
-            let wanted = match tenth {
-                20..=50 => AlarmState::Suspect,
-                101 => AlarmState::Gap,
-                _ => AlarmState::Ok,
-            };
-            assert_eq!(alarm.state(), wanted, "frame {tenth}");
-        }
     }
 
     #[test]

@@ -146,7 +146,7 @@ pub enum Speed {
 ///
 /// With several sources every second one is held out to scale the gaps; of a single one, its last third. A rendered
 /// drive with seed=A..B stands for one drive a seed. Drives given with --held-out set the rate of false alarms (three
-/// of four) and judge it (the fourth); without them the reference says that its rate is not demonstrated.
+/// of four) and judge it (the fourth); without them the reference says that its rate is not shown.
 ///
 /// Drives are taken in an order of their own, so that on the command line does not matter. With --surveys what the encoder
 /// sees of each drive stays on disk: a run that was killed goes on where it was, another rate or metric costs no second look
@@ -466,7 +466,7 @@ impl std::fmt::Display for PixelChoice {
 
 /// Check whether a board can do what its file asks, and say what to do where it cannot
 ///
-/// One line a check, pass, fail or left out: board file, model, reference, camera and its formats, bus and who else is on it,
+/// One line a check, pass, warn, fail or left out: board file, model, reference, camera and its formats, bus and who else is on it,
 /// time and memory of a frame, clock, folders. Sends nothing. Exit code 0 when nothing fails, else 2. A camera that the
 /// monitor is using is busy: stop it first.
 #[derive(Debug, Args)]

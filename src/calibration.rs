@@ -25,7 +25,7 @@ use crate::undefined::Undefined;
 
 mod false_alarms;
 
-pub use false_alarms::{DEMONSTRATED, DriveScores, is_judging, poisson_interval};
+pub use false_alarms::{DriveScores, is_judging};
 
 /// Softmax temperature of the attention histogram, share of the median peak energy. A fixed temperature of 10 keeps about
 /// one pixel an image of a trained net (`calibration/RESULTS.md`, field_sets, has both).

@@ -223,6 +223,12 @@ pub trait WarningSink {
         Ok(())
     }
 
+    /// Whether the frames that were sent have left this computer, as far as that is known: one that is handed over before
+    /// would wait behind them, and grow old. Never blocks.
+    fn is_ready(&mut self, _now: Duration) -> bool {
+        true
+    }
+
     /// A frame that came over the bus and waits, if there is one. Never blocks.
     fn receive(&mut self) -> Option<CanFrame> {
         None
@@ -339,6 +345,17 @@ impl Sink {
         }
     }
 
+    /// As [`open`](Self::open), for a live run: a log file holds every frame as soon as it is sent.
+    ///
+    /// # Errors
+    /// As [`open`](Self::open).
+    pub fn open_live(&self, settings: &CanSettings) -> Result<Box<dyn WarningSink>, SinkError> {
+        match self {
+            Self::LogFile(path) => Ok(Box::new(LogSink::live(path)?)),
+            other => other.open(settings),
+        }
+    }
+
     /// Opens the sink; a bus lets the identifiers of `settings` through.
     ///
     /// # Errors
@@ -351,14 +368,13 @@ impl Sink {
             Self::LogFile(path) => Ok(Box::new(LogSink::create(path)?)),
             #[cfg(feature = "can")]
             Self::Socket(interface) => {
-                let mut heard = vec![settings.status.id, settings.health.id, settings.clear.id];
-                heard.extend(settings.fd.then_some(settings.detail.id));
-                heard.extend(settings.speed.as_ref().map(|speed| speed.id));
-                Ok(Box::new(bus::SocketSink::open(
-                    interface,
-                    &heard,
-                    settings.fd,
-                )?))
+                let mut others = vec![settings.clear.id];
+                others.extend(settings.speed.as_ref().map(|speed| speed.id));
+                let mut own = vec![settings.status.id, settings.health.id];
+                own.extend(settings.fd.then_some(settings.detail.id));
+                let heard = bus::Heard { others, own };
+                let sink = bus::SocketSink::open(interface, heard, settings.fd)?;
+                Ok(Box::new(sink))
             }
         }
     }

@@ -1,7 +1,6 @@
 //! One short file a command: wires a source, the chain and a sink.
 
 mod bench;
-mod bus;
 mod calibrate;
 mod compare;
 mod cpu_time;
@@ -20,6 +19,7 @@ mod replay;
 mod report;
 mod scene;
 mod service;
+mod signals;
 
 use std::io::Write;
 use std::path::Path;
@@ -29,8 +29,8 @@ use gapwatch::alarm::AlarmState;
 use gapwatch::encoder::{Encoder, Executor};
 use gapwatch::evidence::Kept;
 use gapwatch::frame::open;
+use gapwatch::judge::Verdict;
 use gapwatch::model::{ModelOptions, ModelSpec};
-use gapwatch::pipeline::Verdict;
 use gapwatch::reference::ModelFingerprint;
 use gapwatch::survey::{Keep, Survey, SurveyError};
 use rayon::prelude::*;

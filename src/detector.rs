@@ -6,6 +6,7 @@ use std::time::Duration;
 use heapless::Deque;
 
 use crate::alarm::Judgement;
+use crate::continuity::{Continuity, SLOWEST};
 use crate::gap::Metric;
 use crate::model::TAPS_MAX;
 use crate::profile::{TapProfile, spreads_of};
@@ -68,20 +69,30 @@ pub fn judgement(score: f64, drift: f64, settled: bool) -> Judgement {
     }
 }
 
-/// Adds scores up over time.
+/// Adds scores up over time. A hole adds nothing, and one of more than two seconds begins anew.
 #[derive(Clone, Debug, Default)]
 pub struct Cusum {
     sum_s: f64,
+    seen: Continuity,
     last: Option<Duration>,
 }
 
 impl Cusum {
+    /// Of frames that may come as slowly as one every `period`.
+    pub fn with_frames_every(period: Duration) -> Self {
+        Self {
+            seen: Continuity::with_frames_every(period),
+            ..Self::default()
+        }
+    }
+
     /// Adds the score of a window that was seen at `now`; what the sum is then, 1 at its limit.
     pub fn add(&mut self, now: Duration, score: f64) -> f64 {
-        let since_s = self
-            .last
-            .replace(now)
-            .map_or(0.0, |last| now.saturating_sub(last).as_secs_f64());
+        let long = SLOWEST.max(self.seen.patience());
+        if (self.last.replace(now)).is_some_and(|last| now.saturating_sub(last) > long) {
+            self.sum_s = 0.0;
+        }
+        let since_s = self.seen.step(now).unwrap_or_default().as_secs_f64();
         let above = score.min(DRIFT_SCORE_MAX) - DRIFT_SLACK;
         // The sum stops at its limit, so that a drift is over as soon as the scores are.
         self.sum_s = (self.sum_s + above * since_s).clamp(0.0, DRIFT_LIMIT_S);
@@ -97,6 +108,8 @@ pub struct Detector {
     /// Nominal spreads of energies by component and tap, for profiles.
     spreads: Vec<Vec<Vec<f64>>>,
     cusum: Cusum,
+    /// Frames may come as slowly as one in this time.
+    period: Duration,
     span: Duration,
     /// When each frame in the window was seen, oldest first.
     times: Deque<Duration, WINDOW_FRAMES_MAX>,
@@ -130,12 +143,22 @@ impl Detector {
                 .collect(),
             components,
             cusum: Cusum::default(),
+            period: Duration::ZERO,
             span: Duration::from_secs_f64(window_s),
             times: Deque::new(),
             ring: vec![0; bins * WINDOW_FRAMES_MAX],
             next_slot: 0,
             sums: vec![0; bins],
             began: None,
+        }
+    }
+
+    /// Frames may come as slowly as one every `period`.
+    pub fn with_frames_every(self, period: Duration) -> Self {
+        Self {
+            cusum: Cusum::with_frames_every(period),
+            period,
+            ..self
         }
     }
 
@@ -270,7 +293,7 @@ impl Detector {
         self.times.clear();
         self.sums.fill(0);
         self.began = None;
-        self.cusum = Cusum::default();
+        self.cusum = Cusum::with_frames_every(self.period);
     }
 }
 
@@ -400,6 +423,30 @@ mod tests {
         });
         let left: Vec<f64> = (600..670).map(|i| cusum.add(at(100 * i), 0.0)).collect();
         assert!(left[0] < 1.0 && left[69] <= 0.01, "{left:?}");
+    }
+
+    #[test]
+    fn a_hole_adds_nothing_to_a_drift() {
+        // 3 s at a score of 1.75 add 3.
+        let drift_behind = |pause_ms: u64, slow: bool| {
+            let mut cusum = if slow {
+                Cusum::with_frames_every(at(1_000))
+            } else {
+                Cusum::default()
+            };
+            (0..=30).for_each(|i| {
+                cusum.add(at(100 * i), 1.75);
+            });
+            cusum.add(at(3_000 + pause_ms), 1.75)
+        };
+        let close = |a: f64, b: f64| (a - b).abs() < 1e-9;
+        assert!(close(drift_behind(500, false), 0.7));
+        assert!(close(drift_behind(501, false), 0.6));
+        assert!(close(drift_behind(2_000, false), 0.6));
+        assert!(close(drift_behind(2_001, false), 0.0));
+        assert!(close(drift_behind(600_000, false), 0.0));
+        assert!(close(drift_behind(1_500, true), 0.9));
+        assert!(close(drift_behind(1_501, true), 0.6));
     }
 
     fn at(ms: u64) -> Duration {

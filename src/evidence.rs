@@ -3,7 +3,7 @@
 //! The frame loop only hands over: pictures go through a bounded queue to a thread of their own. It keeps the last moments in
 //! memory as their source gave them, compresses them when an alarm begins, and writes the event once it is complete. What does
 //! not fit into the queue is dropped and counted; a disk that takes nothing is counted and logged. Each event is a folder that
-//! appears whole or not at all:
+//! appears whole or not at all, and is on the disk when it is counted:
 //!
 //! ```text
 //! DIR/000012/event.json        what, when, why; the files below by name
@@ -27,10 +27,12 @@ use crate::alarm::AlarmState;
 use crate::frame::pixels::Pixels;
 use crate::frame::{Frame, jpeg};
 use crate::heat;
-use crate::pipeline::{Look, Verdict};
+use crate::judge::Verdict;
+use crate::pipeline::Look;
 use crate::profile::TapProfile;
 
 use folder::EventFolder;
+pub use folder::{Found, examine};
 pub use reading::{Event, ReadError, picture, read};
 
 /// Least time between two frames that are kept.
@@ -50,14 +52,17 @@ const QUEUE_MAX: usize = 16;
 /// Priority of the writer from 0 to 99; on Linux this is niceness 10, a tenth of a verdict's share of a busy processor.
 const WRITER_PRIORITY: u8 = 22;
 
-/// How much a folder of evidence may hold, and for how long; the oldest events go first.
+/// How much a folder of evidence may hold, and for how long; the oldest events go first. While an event is written, its own
+/// files lie beside those that count: at most `bytes` once more. An event that cannot be removed keeps its place, and one for
+/// which there is no room then is not kept.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Quota {
     /// Bytes of all files.
     pub bytes: u64,
     /// Events.
     pub events: usize,
-    /// How long an event is kept; `None` = until the others want its place.
+    /// How long an event is kept; `None` = until the others want its place. One that was written before the computer's clock was
+    /// set has no age.
     pub keep: Option<Duration>,
 }
 
@@ -77,7 +82,7 @@ impl Default for Quota {
 pub struct Kept {
     /// Events written.
     pub events: u64,
-    /// Older events removed for them.
+    /// Older events removed, for them or because they were kept long enough.
     pub removed: u64,
     /// Events that could not be written.
     pub failed: u64,
@@ -109,10 +114,10 @@ pub struct Moment {
 }
 
 /// A frame on its way to the writer.
-struct Message {
-    moment: Moment,
+pub(crate) struct Message {
+    pub(crate) moment: Moment,
     at: Duration,
-    edge: bool,
+    pub(crate) edge: bool,
     pixels: Pixels,
     look: Option<Look>,
 }
@@ -138,7 +143,8 @@ fn yield_to_verdicts() {
 }
 
 impl Recorder {
-    /// Begins to record into `folder`, which is made if it is missing; events that are there stay, within the quota.
+    /// Begins to record into `folder`, which is made if it is missing; events that are there stay, within the quota. What is no
+    /// event, which is a folder named by a number with an `event.json` in it, is left alone and does not count.
     ///
     /// # Errors
     /// When nothing can be written there.
@@ -160,6 +166,27 @@ impl Recorder {
             handed_at: None,
             dropped_frames: 0,
         })
+    }
+
+    /// Hands over to a queue of so many messages that nobody writes.
+    #[cfg(test)]
+    pub(crate) fn in_memory(messages: usize) -> (Self, Receiver<Message>) {
+        let (sender, receiver) = sync_channel(messages);
+        let recorder = Self {
+            sender,
+            patient: false,
+            writer: std::thread::spawn(Kept::default),
+            state: AlarmState::Init,
+            handed_at: None,
+            dropped_frames: 0,
+        };
+        (recorder, receiver)
+    }
+
+    /// Frames that the queue had no room for.
+    #[cfg(test)]
+    pub(crate) fn dropped_frames(&self) -> u64 {
+        self.dropped_frames
     }
 
     /// For a recorded drive, which has time: a frame waits for the writer, and none is left out.
@@ -270,34 +297,36 @@ impl Writer {
     fn run(mut self, messages: &Receiver<Message>) -> Kept {
         let mut expired = None;
         loop {
-            let message = match messages.recv_timeout(NO_MORE) {
-                Ok(message) => message,
-                Err(RecvTimeoutError::Timeout) => {
-                    self.close();
-                    continue;
-                }
-                Err(RecvTimeoutError::Disconnected) => break,
-            };
+            let message = messages.recv_timeout(NO_MORE);
+            // Also while no frame comes: a parked car stands for weeks.
             if expired.is_none_or(|at: Instant| at.elapsed() >= EXPIRE_EVERY) {
                 expired = Some(Instant::now());
                 self.expire();
             }
-            self.take(message);
+            match message {
+                Ok(message) => self.take(message),
+                Err(RecvTimeoutError::Timeout) => self.close(),
+                Err(RecvTimeoutError::Disconnected) => break,
+            }
         }
         self.close();
-        self.kept
+        Kept {
+            removed: self.folder.removed(),
+            ..self.kept
+        }
     }
 
     fn expire(&mut self) {
-        match self.folder.expire(SystemTime::now()) {
-            Ok(removed) => self.kept.removed += removed,
-            Err(error) => log::warn!("evidence {}: {error}", self.folder.path().display()),
+        if let Err(error) = self.folder.expire(SystemTime::now()) {
+            let path = self.folder.path().display();
+            log::warn!("evidence {path}: kept for longer than it may be: {error}");
         }
     }
 
     fn take(&mut self, message: Message) {
         let (edge, at) = (message.edge, message.at);
-        if self.open.as_ref().is_some_and(|open| at > open.until) {
+        let within = |open: &Open| (open.began..=open.until).contains(&at);
+        if self.open.as_ref().is_some_and(|open| !within(open)) {
             self.close();
         }
         match (&mut self.open, edge) {
@@ -309,7 +338,11 @@ impl Writer {
             (Some(open), false) => open.moments.extend(held(message, &self.taps)),
             (None, true) => {
                 let before = self.ring.drain(..);
+                // After a pause the ring still holds what was long before it.
+                let just_before =
+                    |held: &Message| at.checked_sub(held.at).is_some_and(|ago| ago <= AROUND);
                 let mut moments: Vec<Held> = before
+                    .filter(just_before)
                     .filter_map(|before| held(before, &self.taps))
                     .collect();
                 let edge = moments.len();
@@ -342,10 +375,7 @@ impl Writer {
         };
         let files: Vec<_> = moments.into_iter().flat_map(|held| held.files).collect();
         match self.folder.add(&event, &files) {
-            Ok(removed) => {
-                self.kept.events += 1;
-                self.kept.removed += removed;
-            }
+            Ok(()) => self.kept.events += 1,
             Err(error) => {
                 self.kept.failed += 1;
                 log::warn!("evidence {}: {error}", self.folder.path().display());
@@ -481,6 +511,51 @@ mod tests {
             event.moments.iter().filter(|m| !m.heat.is_empty()).count(),
             2
         );
+    }
+
+    #[test]
+    fn what_was_long_before_an_alarm_is_not_of_its_event() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut recorder = Recorder::start(folder.path(), Quota::default(), &[])
+            .unwrap()
+            .patient();
+        // One frame, ten minutes of nothing, and an alarm with the first frame, as of a camera that was unplugged; then a frame
+        // every second, as of a parked car, and another alarm; then one that begins before the last frame.
+        let (ok, gap) = (AlarmState::Ok, AlarmState::Gap);
+        for (tenth, state) in [
+            (0, ok),
+            (6_000, gap),
+            (7_000, ok),
+            (7_010, ok),
+            (7_020, ok),
+            (7_030, ok),
+            (7_040, gap),
+            (7_500, ok),
+            (7_510, ok),
+            (100, gap),
+        ] {
+            offer(&mut recorder, tenth, state);
+        }
+        assert_eq!(recorder.finish().events, 3);
+        let events = read(folder.path()).unwrap();
+        let times = |event: &Event| event.moments.iter().map(|m| m.seq).collect::<Vec<_>>();
+        let times: Vec<Vec<u64>> = events.iter().map(|(_, event)| times(event)).collect();
+        assert_eq!(times, [vec![6_000], vec![7_020, 7_030, 7_040], vec![100]]);
+    }
+
+    #[test]
+    fn the_last_moments_are_written_when_the_program_ends() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut recorder = Recorder::start(folder.path(), Quota::default(), &[]).unwrap();
+        // Fewer than wait for the writer, and the alarm with the last.
+        for tenth in [0, 2, 4, 6] {
+            offer(&mut recorder, tenth, AlarmState::Ok);
+        }
+        offer(&mut recorder, 7, AlarmState::Gap);
+        let kept = recorder.finish();
+        assert_eq!((kept.events, kept.dropped_frames), (1, 0));
+        let events = read(folder.path()).unwrap();
+        assert_eq!((events[0].1.edge, events[0].1.moments.len()), (4, 5));
     }
 
     #[test]

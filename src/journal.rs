@@ -1,24 +1,39 @@
-//! Journal: one JSON object a line for every frame that was looked at. The first line also says what the run was made
-//! with.
+//! Journal, version 2: one JSON object a line. The first line says what the run was made with and when; every other one
+//! what was known after a frame, or when none came.
+//!
+//! ```text
+//! {"gapwatch_journal":2,"began":{"utc":…,"is_set":true,"monotonic_s":…},"about":{…}}
+//! {"t_s":0.105,"captured_s":0.1,"seq":1,"state":"Ok",…}
+//! ```
+//!
+//! `t_s` is when it was told, and never runs backwards; `captured_s` is when the frame was taken. In a replay, where time
+//! stands still while a frame is judged, they are the same. What a line does not know may be `null` or left out.
 
 mod reading;
 mod recording;
 
-use std::io::{self, Write};
+use std::io;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use serde::ser::{SerializeMap, Serializer};
 use serde::{Deserialize, Serialize};
 
+use crate::clock::ClockTime;
 use crate::detector::BlockScore;
+use crate::event_rate::Hours;
 use crate::image_quality::ImageQuality;
-use crate::pipeline::Verdict;
+use crate::judge::Verdict;
+use crate::live_file::LiveFile;
+use crate::output::{Output, Stream};
 use crate::reference::{FalseAlarms, NominalDrives, Reference};
 use crate::whole_file::WholeFile;
 
 pub use reading::{Entry, ReadError, Reading, read};
 pub use recording::RecordingJournal;
+
+/// Version of the format.
+const VERSION: u64 = 2;
 
 /// A journal that cannot be written.
 #[derive(Debug, thiserror::Error)]
@@ -28,13 +43,20 @@ pub struct JournalError {
     error: io::Error,
 }
 
-/// Writes a journal; the file appears whole when it is finished.
+/// Writes a journal.
 pub struct Journal {
     path: PathBuf,
-    lines: WholeFile,
+    lines: Box<dyn Output>,
     taps: Vec<String>,
-    /// For the next line.
-    about: Option<About>,
+    /// When the last line was told.
+    told_at: Duration,
+}
+
+#[derive(Serialize)]
+struct FirstLine<'a> {
+    gapwatch_journal: u64,
+    began: &'a ClockTime,
+    about: &'a About,
 }
 
 /// What a run was made with; unknown fields are skipped and missing ones empty, so that versions read each other.
@@ -87,10 +109,11 @@ impl About {
 /// What was measured of false alarms, in words.
 fn known_of(alarms: &FalseAlarms) -> String {
     let drives = |what: &str, on: &NominalDrives| {
-        let (low, high) = on.per_hour;
         format!(
-            "; {what} on {} nominal drives of {:.1} h together: {} entries into Gap, {low:.2} to {high:.2} an hour (95 %)",
-            on.drives, on.hours, on.entries
+            "; {what} on {} nominal drives of {} together: {} entries into Gap",
+            on.drives,
+            Hours(on.hours),
+            on.entries
         )
     };
     let mut text = format!("at most {} an hour wanted", alarms.wanted_per_hour);
@@ -98,15 +121,13 @@ fn known_of(alarms: &FalseAlarms) -> String {
     if let Some(judged_on) = &alarms.judged_on {
         text += &drives("judged", judged_on);
     }
-    if let Some(missing) = &alarms.missing {
-        text += &format!("; not demonstrated: {missing}");
-    }
-    text
+    text + "; " + &alarms.said()
 }
 
 #[derive(Serialize)]
 struct Line<'a> {
     t_s: f64,
+    captured_s: Option<f64>,
     seq: Option<u64>,
     state: &'static str,
     reason: &'static str,
@@ -117,8 +138,6 @@ struct Line<'a> {
     latency_ms: f64,
     tap_score: PerTap<'a>,
     image: Option<Image>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    about: Option<About>,
 }
 
 /// How good the picture was, to a thousandth.
@@ -143,19 +162,15 @@ impl From<ImageQuality> for Image {
 }
 
 impl<'a> Line<'a> {
-    fn new(
-        taps: &'a [String],
-        verdict: &'a Verdict,
-        latency: Duration,
-        about: Option<About>,
-    ) -> Self {
+    fn new(taps: &'a [String], told_at: Duration, verdict: &'a Verdict, latency: Duration) -> Self {
         let per_tap = |value| PerTap {
             taps,
             blocks: &verdict.blocks,
             value,
         };
         Self {
-            t_s: verdict.at.as_secs_f64(),
+            t_s: told_at.as_secs_f64(),
+            captured_s: verdict.sequence.map(|_| verdict.at.as_secs_f64()),
             seq: verdict.sequence,
             state: verdict.state.name(),
             reason: verdict.reason.name(),
@@ -169,7 +184,6 @@ impl<'a> Line<'a> {
             latency_ms: latency.as_secs_f64() * 1e3,
             tap_score: per_tap(|block| block.score),
             image: verdict.quality.map(Image::from),
-            about,
         }
     }
 }
@@ -192,52 +206,108 @@ impl Serialize for PerTap<'_> {
 }
 
 impl Journal {
-    /// Begins a journal of a model with these taps.
+    /// Begins a journal of a model with these taps, whose file appears whole when it is finished.
     ///
     /// # Errors
-    /// When nothing can be written beside `path`.
-    pub fn create(path: &Path, taps: &[String]) -> Result<Self, JournalError> {
-        let lines = WholeFile::create(path).map_err(|error| JournalError {
-            path: path.to_owned(),
-            error,
-        })?;
-        Ok(Self {
+    /// When nothing can be written there.
+    pub fn create(
+        path: &Path,
+        taps: &[String],
+        began: &ClockTime,
+        about: &About,
+    ) -> Result<Self, JournalError> {
+        let lines = WholeFile::create(path).map_err(|error| failed(path, error))?;
+        Self::begin(path, Box::new(lines), taps, began, about)
+    }
+
+    /// As [`create`](Self::create), in a file whose lines are there as they are written.
+    ///
+    /// # Errors
+    /// When nothing can be written there.
+    pub fn live(
+        path: &Path,
+        taps: &[String],
+        began: &ClockTime,
+        about: &About,
+    ) -> Result<Self, JournalError> {
+        let lines = LiveFile::create(path).map_err(|error| failed(path, error))?;
+        Self::begin(path, Box::new(lines), taps, began, about)
+    }
+
+    /// As [`create`](Self::create), into a stream; `path` names it in errors.
+    ///
+    /// # Errors
+    /// When it takes nothing.
+    pub fn stream(
+        path: &Path,
+        out: impl io::Write + Send + 'static,
+        taps: &[String],
+        began: &ClockTime,
+        about: &About,
+    ) -> Result<Self, JournalError> {
+        Self::begin(path, Box::new(Stream(out)), taps, began, about)
+    }
+
+    fn begin(
+        path: &Path,
+        lines: Box<dyn Output>,
+        taps: &[String],
+        began: &ClockTime,
+        about: &About,
+    ) -> Result<Self, JournalError> {
+        let mut journal = Self {
             path: path.to_owned(),
             lines,
             taps: taps.to_vec(),
-            about: None,
-        })
+            told_at: Duration::ZERO,
+        };
+        journal.write(&FirstLine {
+            gapwatch_journal: VERSION,
+            began,
+            about,
+        })?;
+        Ok(journal)
     }
 
-    /// Lets the next line say what the run is made with.
-    pub fn describe(&mut self, about: About) {
-        self.about = Some(about);
-    }
-
-    /// Adds a verdict and the time it took from frame to verdict.
+    /// Adds a verdict that is told at `now`, `latency` after its frame was taken. A time before that of the last line is taken
+    /// for the same time.
     ///
     /// # Errors
-    /// When the disk does not take it.
-    pub fn add(&mut self, verdict: &Verdict, latency: Duration) -> Result<(), JournalError> {
-        let about = self.about.take();
-        let line = Line::new(&self.taps, verdict, latency, about);
-        serde_json::to_writer(&mut self.lines, &line)
-            .map_err(io::Error::from)
-            .and_then(|()| self.lines.write_all(b"\n"))
-            .map_err(|error| JournalError {
-                path: self.path.clone(),
-                error,
+    /// When the output does not take it.
+    pub fn add(
+        &mut self,
+        now: Duration,
+        verdict: &Verdict,
+        latency: Duration,
+    ) -> Result<(), JournalError> {
+        self.told_at = self.told_at.max(now);
+        let taps = self.taps.clone();
+        self.write(&Line::new(&taps, self.told_at, verdict, latency))
+    }
+
+    fn write(&mut self, line: &impl Serialize) -> Result<(), JournalError> {
+        let bytes = serde_json::to_vec(line).map_err(io::Error::from);
+        bytes
+            .and_then(|mut bytes| {
+                bytes.push(b'\n');
+                self.lines.write_all(&bytes)
             })
+            .map_err(|error| failed(&self.path, error))
     }
 
-    /// Puts the file in place.
+    /// Ends the journal: its file is in place, and on the disk.
     ///
     /// # Errors
-    /// When the disk does not take it.
+    /// When the output does not take it.
     pub fn finish(self) -> Result<(), JournalError> {
-        self.lines.finish().map_err(|error| JournalError {
-            path: self.path,
-            error,
-        })
+        let finished = self.lines.finish();
+        finished.map_err(|error| failed(&self.path, error))
+    }
+}
+
+fn failed(path: &Path, error: io::Error) -> JournalError {
+    JournalError {
+        path: path.to_owned(),
+        error,
     }
 }

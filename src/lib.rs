@@ -50,6 +50,7 @@ pub mod reference;
 
 pub mod intake;
 
+pub mod continuity;
 pub mod detector;
 pub mod profile;
 pub mod profile_chart;
@@ -58,10 +59,14 @@ pub mod alarm;
 pub mod health;
 pub mod rate;
 
-pub mod can;
+pub mod judge;
+
 pub mod pipeline;
 
+pub mod can;
+
 pub mod evidence;
+pub mod live;
 
 // Whole sources at once.
 pub mod labelled;
@@ -76,6 +81,13 @@ pub mod heat;
 pub mod report;
 
 // What all of them use.
+mod bootstrap;
+pub mod clock;
+pub mod durable;
+pub mod event_rate;
 pub mod journal;
+pub mod live_file;
+pub mod output;
+pub mod temporary_folder;
 pub mod undefined;
 pub mod whole_file;

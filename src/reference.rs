@@ -12,6 +12,7 @@ use sha2::{Digest, Sha256};
 use crate::attention::EnergyMap;
 use crate::encoder::Encoder;
 use crate::energies::BlockMeans;
+use crate::event_rate::{CountedRate, Loudness};
 use crate::gap::lane_risk::LaneRisk;
 use crate::gap::moments::{EnergyNorm, energy_levels};
 use crate::gap::{Comparison, Metric};
@@ -37,7 +38,10 @@ pub const SPREAD_MIN: f64 = 1e-9;
 /// Largest file: four times what all components of the shipped model would take.
 pub(crate) const BYTES_MAX: u64 = 64 << 20;
 const FORMAT: &str = "gapwatch-reference";
-const VERSION: u32 = 3;
+const VERSION: u32 = 4;
+/// Most hours and entries of nominal drives that are believed.
+const HOURS_MAX: f64 = 1e6;
+const ENTRIES_MAX: u64 = 10_000_000;
 const BUILT_IN: &str = include_str!("../calibration/sim.json");
 
 /// What nominal attention looks like to one model.
@@ -89,8 +93,6 @@ pub struct FalseAlarms {
     pub chosen_on: NominalDrives,
     /// Other drives that it was tried on, if there were any.
     pub judged_on: Option<NominalDrives>,
-    /// Hours that are missing before the rate is demonstrated, with what is missing; `None` when nothing is.
-    pub missing: Option<String>,
 }
 
 /// The factor that a rate of false alarms asks for.
@@ -107,14 +109,18 @@ pub struct RateFactor {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct NominalDrives {
-    /// Drives.
+    /// Drives in which something could be judged.
     pub drives: u64,
-    /// Hours in all.
+    /// Judged hours in all.
     pub hours: f64,
     /// Entries into `Gap`.
     pub entries: u64,
     /// 95 % interval of the rate an hour (Poisson, exact).
     pub per_hour: (f64, f64),
+    /// One-sided 95 % bounds of the rate an hour from resampling drives, in which entries come together; left out where
+    /// entries by drive are not known.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub resampled: Option<(f64, f64)>,
 }
 
 /// What makes two encoders see alike.
@@ -260,6 +266,46 @@ pub enum ReferenceError {
     },
 }
 
+impl FalseAlarms {
+    /// What the judging drives say of the rate asked for; without any it is not shown.
+    pub fn loudness(&self) -> Loudness {
+        self.judged_rate().loudness(self.wanted_per_hour)
+    }
+
+    /// The same in words, with the bound that it rests on, or with what is missing.
+    pub fn said(&self) -> String {
+        self.judged_rate().said(self.wanted_per_hour)
+    }
+
+    /// What is missing before the rate is shown not to be louder than asked; `None` when nothing is missing.
+    pub fn missing(&self) -> Option<String> {
+        self.judged_rate().missing(self.wanted_per_hour)
+    }
+
+    fn judged_rate(&self) -> CountedRate {
+        let on = self.judged_on.as_ref();
+        on.map_or(CountedRate::new(0, 0.0, None), |on| {
+            CountedRate::new(on.entries, on.hours, on.resampled)
+        })
+    }
+
+    fn fault(&self) -> Option<String> {
+        let wanted = self.wanted_per_hour;
+        if !(wanted.is_finite() && wanted > 0.0) {
+            return Some(format!("{wanted} false alarms an hour wanted"));
+        }
+        let mut drives = std::iter::once(&self.chosen_on).chain(&self.judged_on);
+        drives.find_map(|on| {
+            let (low, high) = on.resampled.unwrap_or_default();
+            let usable = (0.0..=HOURS_MAX).contains(&on.hours)
+                && on.entries <= ENTRIES_MAX
+                && (0.0..=high).contains(&low)
+                && high.is_finite();
+            (!usable).then(|| format!("false alarms: {} entries in {} hours", on.entries, on.hours))
+        })
+    }
+}
+
 impl ModelFingerprint {
     /// The fingerprint of a loaded model.
     pub fn new(spec: &ModelSpec, encoder: &Encoder) -> Self {
@@ -340,6 +386,11 @@ impl Reference {
         let value: serde_json::Value =
             serde_json::from_str(text).map_err(|e| malformed(format!("not JSON ({e})")))?;
         let (format, version) = (&value["format"], &value["version"]);
+        if format == FORMAT && version.as_u64().is_some_and(|of| of < VERSION.into()) {
+            return Err(malformed(format!(
+                "version {version}, of an older gapwatch; make it again with the command under provenance in it"
+            )));
+        }
         if format != FORMAT || version != VERSION {
             return Err(malformed(format!("format {format}, version {version}")));
         }
@@ -370,6 +421,9 @@ impl Reference {
                 self.strict,
                 self.components.len()
             ));
+        }
+        if let Some(fault) = self.false_alarms.fault() {
+            return Some(fault);
         }
         self.components.iter().find_map(|component| {
             let names: Vec<&String> = component.taps.iter().map(|t| &t.tap).collect();
@@ -687,6 +741,10 @@ mod tests {
             ),
             (
                 "{\"format\": \"gapwatch-reference\", \"version\": 3}",
+                "make it again with the command",
+            ),
+            (
+                "{\"format\": \"gapwatch-reference\", \"version\": 4}",
                 "missing field",
             ),
         ] {
@@ -718,6 +776,24 @@ mod tests {
             .is_some()
         );
         assert_eq!(tap(&[(1, 1.0, 2.0)]).fault(LOG_ENERGY), None);
+    }
+
+    #[test]
+    fn counts_of_false_alarms_that_no_drive_has_are_refused() {
+        let reference = Reference::read(None).unwrap();
+        let changes: [fn(&mut FalseAlarms); 5] = [
+            |of| of.wanted_per_hour = 0.0,
+            |of| of.chosen_on.hours = -1.0,
+            |of| of.chosen_on.entries = u64::MAX,
+            |of| of.chosen_on.resampled = Some((2.0, 1.0)),
+            |of| of.judged_on.as_mut().unwrap().hours = 1e300,
+        ];
+        for change in changes {
+            let mut changed = reference.clone();
+            change(&mut changed.false_alarms);
+            let refused = Reference::parse("r.json", &changed.to_json()).unwrap_err();
+            assert!(refused.to_string().contains("false alarms"), "{refused}");
+        }
     }
 
     #[test]

@@ -10,6 +10,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use crate::alarm::AlarmState;
+use crate::clock::ClockTime;
 use crate::evidence::{self, Moment};
 use crate::journal::{About, Entry, Reading};
 use crate::profile::TapProfile;
@@ -24,7 +25,10 @@ const SHOWN_ALARMS_MAX: usize = 50;
 /// What a journal says as a whole.
 #[derive(Debug)]
 pub struct Report {
-    about: Option<About>,
+    about: About,
+    began: ClockTime,
+    /// The run was ended while it wrote its last line.
+    breaks_off: bool,
     entries: Vec<Entry>,
     alarms: Vec<Alarm>,
     taps: Vec<String>,
@@ -77,7 +81,12 @@ pub struct Alarm {
 impl Report {
     /// The report of a journal; an empty one gives an empty report.
     pub fn new(reading: Reading) -> Self {
-        let Reading { about, entries } = reading;
+        let Reading {
+            about,
+            began,
+            entries,
+            breaks_off,
+        } = reading;
         let taps: BTreeSet<String> = entries
             .iter()
             .flat_map(|entry| entry.gap.keys().cloned())
@@ -86,6 +95,8 @@ impl Report {
             alarms: alarms(&entries),
             taps: taps.into_iter().collect(),
             about,
+            began,
+            breaks_off,
             entries,
             shown: BTreeMap::new(),
         }
@@ -103,7 +114,9 @@ impl Report {
                 let (first, _, next) = alarm.lines;
                 self.entries[first..next].iter().any(|entry| {
                     (entry.sequence, entry.score) == (Some(began.seq), began.score)
-                        && (entry.t_s - began.t_s).abs() < SAME_TIME_S
+                        && entry
+                            .captured_s
+                            .is_some_and(|at| (at - began.t_s).abs() < SAME_TIME_S)
                 })
             });
             let Some(place) = place.filter(|_| self.shown.len() < SHOWN_ALARMS_MAX) else {
@@ -280,6 +293,7 @@ mod tests {
         let taps = [("e2", 0.5), ("e3", 1.0)];
         Entry {
             t_s,
+            captured_s: Some(t_s),
             sequence: Some(0),
             state,
             reason: "none".to_owned(),
@@ -302,7 +316,6 @@ mod tests {
     fn report() -> Report {
         use AlarmState::{Gap, Init, Ok, SensorFault, Suspect};
         Report::new(Reading {
-            about: None,
             entries: vec![
                 entry(0.0, Init, Some(0.0)),
                 entry(1.0, Ok, Some(0.1)),
@@ -313,6 +326,7 @@ mod tests {
                 entry(6.0, Suspect, Some(1.1)),
                 entry(7.0, SensorFault, None),
             ],
+            ..Reading::default()
         })
     }
 
@@ -366,8 +380,9 @@ mod tests {
             ..About::default()
         };
         let reading = Reading {
-            about: Some(about),
+            about,
             entries: vec![bad],
+            ..Reading::default()
         };
         let page = Report::new(reading).page(hostile);
         assert!(!page.contains("<script>alert") && !page.contains("<img src=x"));

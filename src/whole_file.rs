@@ -2,10 +2,17 @@
 
 use std::fs::{File, OpenOptions};
 use std::io::{self, BufWriter, Read, Write};
+use std::os::fd::AsRawFd;
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 
-use tempfile::NamedTempFile;
+use rustix::fs::{AtFlags, CWD, Mode, OFlags, linkat};
+use tempfile::TempPath;
+
+use crate::durable::{folder_of, sync, sync_folder};
+
+/// Begins the names that files have for the moment in which they are put in place.
+const PREFIX: &str = ".gapwatch-";
 
 /// Reads a file of at most `most` bytes: what is larger, or never ends, costs no more memory than that.
 ///
@@ -30,12 +37,15 @@ pub fn read_text(path: &Path, most: u64) -> io::Result<String> {
     String::from_utf8(read_whole(path, most)?).map_err(not_text)
 }
 
-/// A file being written beside its place; dropped without [`WholeFile::finish`] it leaves nothing behind.
+/// A file being written without a name; dropped without [`WholeFile::finish`], or killed, it leaves nothing behind. Where the file
+/// system has no files without names, it is written under another name beside its place, which only a killed program leaves.
 pub struct WholeFile(Target);
 
 enum Target {
     Beside {
-        file: BufWriter<NamedTempFile>,
+        file: BufWriter<File>,
+        /// `None` of a file without a name.
+        name: Option<TempPath>,
         place: PathBuf,
     },
     /// A device or pipe, which must not be replaced.
@@ -48,6 +58,10 @@ impl WholeFile {
     /// # Errors
     /// When nothing can be written there.
     pub fn create(path: &Path) -> io::Result<Self> {
+        Self::begin(path, unnamed)
+    }
+
+    fn begin(path: &Path, unnamed: fn(&Path) -> Option<File>) -> io::Result<Self> {
         match path.metadata() {
             Ok(there) if there.is_dir() => return Err(io::ErrorKind::IsADirectory.into()),
             Ok(there) if !there.is_file() => {
@@ -61,32 +75,65 @@ impl WholeFile {
         }
         // A link to a file stays a link: what it names is replaced.
         let place = path.canonicalize().unwrap_or_else(|_| path.to_owned());
-        let folder = place
-            .parent()
-            .filter(|p| !p.as_os_str().is_empty())
-            .unwrap_or(Path::new("."));
-        let file = tempfile::Builder::new()
-            .permissions(PermissionsExt::from_mode(0o644))
-            .tempfile_in(folder)?;
+        let folder = folder_of(&place);
+        let (file, name) = match unnamed(folder) {
+            Some(file) => (file, None),
+            None => {
+                let named = tempfile::Builder::new()
+                    .prefix(PREFIX)
+                    .permissions(PermissionsExt::from_mode(0o644))
+                    .tempfile_in(folder)?;
+                let (file, name) = named.into_parts();
+                (file, Some(name))
+            }
+        };
         Ok(Self(Target::Beside {
             file: BufWriter::new(file),
+            name,
             place,
         }))
     }
 
-    /// Puts the file in its place.
+    /// Puts the file in its place; it is on the disk when this returns.
     ///
     /// # Errors
     /// When the disk does not take it.
     pub fn finish(self) -> io::Result<()> {
         match self.0 {
-            Target::Beside { file, place } => {
+            Target::Beside { file, name, place } => {
                 let file = file.into_inner().map_err(io::IntoInnerError::into_error)?;
-                file.persist(place).map(drop).map_err(|error| error.error)
+                sync(&file)?;
+                let folder = folder_of(&place);
+                let name = name.map_or_else(|| named(&file, folder), Ok)?;
+                name.persist(&place).map_err(|error| error.error)?;
+                sync_folder(folder)
             }
             Target::Through(mut file) => file.flush(),
         }
     }
+}
+
+/// A file without a name; `None` where there is none that could be given one later, and where nothing can be written.
+fn unnamed(folder: &Path) -> Option<File> {
+    let flags = OFlags::WRONLY | OFlags::TMPFILE | OFlags::CLOEXEC;
+    let file = File::from(rustix::fs::open(folder, flags, Mode::from(0o644)).ok()?);
+    name_of_open(&file).exists().then_some(file)
+}
+
+/// Under which every program sees its own open files, also those without a name.
+fn name_of_open(file: &File) -> PathBuf {
+    PathBuf::from(format!("/proc/self/fd/{}", file.as_raw_fd()))
+}
+
+/// Gives a file without a name one in `folder`.
+fn named(file: &File, folder: &Path) -> io::Result<TempPath> {
+    let open = name_of_open(file);
+    let link = |name: &Path| Ok(linkat(CWD, &open, CWD, name, AtFlags::SYMLINK_FOLLOW)?);
+    let mut builder = tempfile::Builder::new();
+    Ok(builder
+        .prefix(PREFIX)
+        .make_in(folder, link)?
+        .into_temp_path())
 }
 
 impl Write for WholeFile {
@@ -125,6 +172,35 @@ mod tests {
         file.finish().unwrap();
         assert_eq!(fs::read(&path).unwrap(), b"two");
         assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
+    }
+
+    #[test]
+    fn a_file_being_written_has_no_name() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("journal.jsonl");
+        let mut file = WholeFile::create(&path).unwrap();
+        file.write_all(&[1; 100_000]).unwrap();
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 0);
+        file.finish().unwrap();
+        assert_eq!(fs::read(&path).unwrap(), [1; 100_000]);
+    }
+
+    #[test]
+    fn without_nameless_files_it_is_the_same_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let (one, other) = (folder.path().join("one"), folder.path().join("other"));
+        let mut named = WholeFile::begin(&one, |_| None).unwrap();
+        let mut unnamed = WholeFile::create(&other).unwrap();
+        for file in [&mut named, &mut unnamed] {
+            file.write_all(b"text").unwrap();
+        }
+        drop(WholeFile::begin(&one, |_| None).unwrap());
+        named.finish().unwrap();
+        unnamed.finish().unwrap();
+        let (one, other) = (fs::metadata(&one).unwrap(), fs::metadata(&other).unwrap());
+        assert_eq!(one.permissions(), other.permissions());
+        assert_eq!((one.len(), other.len()), (4, 4));
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 2);
     }
 
     #[test]

@@ -595,8 +595,13 @@ fn references_that_are_broken_are_refused_by_name() {
         ("list.json", "[1, 2]".to_owned(), "format null"),
         (
             "old.json",
-            built_in.replacen("\"version\": 3", "\"version\": 99", 1),
+            built_in.replacen("\"version\": 4", "\"version\": 99", 1),
             "version 99",
+        ),
+        (
+            "older.json",
+            built_in.replacen("\"version\": 4", "\"version\": 3", 1),
+            "version 3, of an older gapwatch; make it again with the command under provenance",
         ),
         (
             "whitening.json",

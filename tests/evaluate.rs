@@ -39,6 +39,13 @@ fn a_results_file_grows_key_by_key_and_becomes_markdown() {
     ];
     gapwatch_in(folder.path(), &alarms).ok();
     let results = read(&path);
+    // Ten minutes show nothing of a rate of one in ten hours, and the file says so beside the numbers.
+    let rare = &results["false_alarms"][2];
+    assert_eq!(
+        (&rare["verdict"], rare["wanted"].as_f64()),
+        (&"not shown".into(), Some(0.1))
+    );
+    assert!(rare["missing_hours"].as_f64().unwrap() > 29.0, "{rare}");
     assert_eq!(results["weather"][0]["wet"], 0.1);
     // Without real images the simulation is the only reference: two metrics on three taps.
     let rows = results["paper_table"].as_array().unwrap();
@@ -68,6 +75,8 @@ fn a_results_file_grows_key_by_key_and_becomes_markdown() {
         command,
         "| adapted simulation | ",
         "### False alarms an hour",
+        "| not shown, ",
+        " hours more without an entry",
     ] {
         assert!(page.contains(part), "{part:?} is missing from\n{page}");
     }

@@ -4,7 +4,7 @@
 mod program;
 
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
@@ -97,6 +97,80 @@ fn a_killed_program_leaves_only_whole_events_and_the_next_goes_on() {
     assert!(!seen.join(".unfinished-000099").exists());
 }
 
+/// Nothing is left of the files of a killed run: none has a name before it is finished.
+#[test]
+fn a_killed_program_leaves_no_half_files() {
+    let folder = tempfile::tempdir().unwrap();
+    let drive = flicker(200);
+    let mut child = Command::new(env!("CARGO_BIN_EXE_gapwatch"))
+        .args([
+            "replay",
+            &drive,
+            "--journal",
+            "j",
+            "--mcap",
+            "m.mcap",
+            "--can",
+            "log:c.log",
+        ])
+        .current_dir(folder.path())
+        .stdout(Stdio::null())
+        .spawn()
+        .unwrap();
+    // Until it writes into files of its own.
+    let open = format!("/proc/{}/fd", child.id());
+    let here = folder.path().canonicalize().unwrap();
+    let ours = || {
+        let files = fs::read_dir(&open).unwrap().flatten();
+        let names = files.filter_map(|file| fs::read_link(file.path()).ok());
+        names.filter(|name| name.starts_with(&here)).count()
+    };
+    let began = Instant::now();
+    while ours() < 3 {
+        assert!(
+            began.elapsed() < Duration::from_secs(60),
+            "no file is written"
+        );
+        std::thread::sleep(Duration::from_millis(3));
+    }
+    child.kill().unwrap();
+    child.wait().unwrap();
+    assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 0);
+}
+
+#[test]
+fn what_is_no_event_is_left_alone_and_read_past() {
+    let folder = tempfile::tempdir().unwrap();
+    let seen = folder.path().join("seen");
+    fs::create_dir_all(seen.join("000002")).unwrap();
+    fs::write(seen.join("000001"), "mine").unwrap();
+    fs::write(seen.join(".unfinished-x"), "mine").unwrap();
+    let before = files(&seen);
+    let drive = flicker(8);
+    let said = gapwatch_in(
+        folder.path(),
+        &[
+            "replay",
+            &drive,
+            "--journal",
+            "j",
+            "--evidence",
+            "seen",
+            "--evidence-events",
+            "1",
+        ],
+    )
+    .ok();
+    assert!(said.contains("evidence: 1 events written"), "{said}");
+    let report = ["report", "j", "--evidence", "seen", "--out", "r.html"];
+    gapwatch_in(folder.path(), &report).ok();
+    let page = fs::read_to_string(folder.path().join("r.html")).unwrap();
+    assert!(page.contains("alt=\"Frame, "));
+    fs::remove_dir_all(seen.join("000003")).unwrap();
+    assert_eq!(files(&seen), before);
+    assert!(seen.join("000002").is_dir());
+}
+
 /// A small file system of its own at a folder, until it is dropped.
 struct SmallDisk<'a>(&'a Path);
 
@@ -114,6 +188,91 @@ impl<'a> SmallDisk<'a> {
             .status();
         assert!(status.unwrap().success(), "cannot mount a tmpfs");
         Self(folder)
+    }
+
+    /// An image of an ext4 file system, which writes by itself only after five minutes.
+    fn mount_image(folder: &'a Path, image: &Path) -> Self {
+        let status = Command::new("mount")
+            .args(["-o", "loop,commit=300"])
+            .args([image, folder])
+            .status();
+        assert!(status.unwrap().success(), "cannot mount an image");
+        Self(folder)
+    }
+}
+
+/// What a disk of which `live` is the image would hold if the power were cut now.
+fn after_a_power_cut(live: &Path, copy: &Path) -> Vec<(PathBuf, Vec<u8>)> {
+    fs::copy(live, copy).unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let disk = SmallDisk::mount_image(folder.path(), copy);
+    let found = files_of(folder.path());
+    drop(disk);
+    found
+}
+
+/// Files by their name in the folder.
+fn files_of(folder: &Path) -> Vec<(PathBuf, Vec<u8>)> {
+    let named =
+        |(path, bytes): (PathBuf, Vec<u8>)| (path.strip_prefix(folder).unwrap().to_owned(), bytes);
+    files(folder).into_iter().map(named).collect()
+}
+
+#[test]
+#[ignore = "needs root, for a disk of its own: run tests/run"]
+fn root_what_is_told_as_written_is_there_after_a_power_cut() {
+    let root = tempfile::tempdir().unwrap();
+    let (image, copy) = (root.path().join("image"), root.path().join("copy"));
+    fs::File::create(&image)
+        .unwrap()
+        .set_len(128 << 20)
+        .unwrap();
+    let made = Command::new("mkfs.ext4").arg("-q").arg(&image).status();
+    assert!(made.unwrap().success(), "cannot make an ext4 file system");
+    let folder = root.path().join("disk");
+    fs::create_dir(&folder).unwrap();
+    let _disk = SmallDisk::mount_image(&folder, &image);
+    let drive = flicker(8);
+    for args in [
+        vec![
+            "replay",
+            &drive,
+            "--journal",
+            "j",
+            "--mcap",
+            "m.mcap",
+            "--can",
+            "log:c.log",
+        ],
+        vec!["replay", &drive, "--evidence", "a/new/folder"],
+        // For the second event the first goes.
+        vec![
+            "replay",
+            &drive,
+            "--evidence",
+            "a/new/folder",
+            "--evidence-events",
+            "1",
+        ],
+        vec!["report", "j", "--out", "r.html"],
+        vec!["scene", "--count", "3", "--out", "scenes"],
+        vec![
+            "calibrate",
+            "--sim",
+            "scene:sim?seed=1..6&seconds=6&fps=5",
+            "--metric",
+            "attention-js",
+            "--surveys",
+            "kept/surveys",
+            "--out",
+            "r.json",
+        ],
+    ] {
+        gapwatch_in(&folder, &args).ok();
+        let there = files_of(&folder);
+        assert!(there.iter().all(|(_, bytes)| !bytes.is_empty()));
+        // Byte for byte, nothing more and nothing less.
+        assert!(after_a_power_cut(&image, &copy) == there, "{args:?}");
     }
 }
 
@@ -155,11 +314,20 @@ fn root_a_full_disk_costs_events_and_no_verdict() {
     // Nothing half is left, and with a quota below the disk's size nothing is lost.
     assert_eq!(fs::read_dir(&seen).unwrap().count(), whole);
     drop(disk);
-    let _disk = SmallDisk::mount(&seen, "2m");
+    let disk = SmallDisk::mount(&seen, "2m");
     let quota = ["--evidence", "seen", "--evidence-mb", "1"];
     let (said, _) = journal("l", &quota);
     assert!(
         said.contains("evidence: 6 events written") && !said.contains("could not"),
+        "{said}"
+    );
+    // Where two events do not fit beside each other, the one that the quota has no more room for goes first.
+    drop(disk);
+    let _disk = SmallDisk::mount(&seen, "700k");
+    let (said, _) = journal("m", &["--evidence", "seen", "--evidence-events", "1"]);
+    assert!(
+        said.contains("evidence: 6 events written, 5 older ones removed")
+            && !said.contains("could not"),
         "{said}"
     );
 }

@@ -6,7 +6,9 @@
 use std::time::Duration;
 
 use crate::alarm::{Alarm, AlarmState, Judgement, Reason};
+use crate::bootstrap;
 use crate::detector::{Cusum, judgement};
+use crate::event_rate::poisson_interval;
 use crate::reference::{FalseAlarms, NominalDrives, RateFactor};
 
 /// Factors that are tried: from the first, each this much above the one before.
@@ -20,8 +22,8 @@ const TAIL_SHARE: f64 = 0.25;
 const TAIL_MIN: usize = 5;
 /// Without enough drives for a tail: margin on the factor at which none of them enters `Gap`.
 const FEW_DRIVES_MARGIN: f64 = 1.5;
-/// Hours times rate that demonstrate a rate when nothing happens in them (rule of three).
-pub const DEMONSTRATED: f64 = 3.0;
+/// A frame that stands for longer than so many usual ones has a hole after it, in which nothing was judged.
+const STANDS_MAX: u32 = 2;
 
 /// One drive of so many judges the rate that the others set: a rate of one in so many hours is set badly on fewer.
 const JUDGE_EVERY: usize = 4;
@@ -54,12 +56,32 @@ impl DriveScores {
         })
     }
 
-    /// Length of the drive, hours: the last frame lasts as long as the one before.
+    /// Judged time, hours: what the frames with a score stand for. A frame stands for the time to the next one, the last for
+    /// as long as the one before it; none over a hole. None of a drive in which no frame saw a whole window: its state
+    /// stays `Init`.
     pub fn hours(&self) -> f64 {
-        let [.., (before, _), (last, _)] = self.frames[..] else {
+        let is_settled = |seen| matches!(seen, Judgement::Score { settled, .. } if settled);
+        let to_next = self
+            .frames
+            .windows(2)
+            .map(|pair| pair[1].0.saturating_sub(pair[0].0));
+        let mut stands: Vec<Duration> = to_next.collect();
+        let Some(&last) = stands.last() else {
             return 0.0;
         };
-        (last + (last - before) - self.frames[0].0).as_secs_f64() / 3_600.0
+        if !self.frames.iter().any(|&(_, seen)| is_settled(seen)) {
+            return 0.0;
+        }
+        stands.push(last);
+        let mut sorted = stands.clone();
+        sorted.sort_unstable();
+        let longest = STANDS_MAX * sorted[sorted.len() / 2];
+        let judged = self
+            .scores()
+            .zip(&stands)
+            .filter(|((_, score), _)| score.is_some());
+        let stood: Duration = judged.map(|(_, &stands)| stands.min(longest)).sum();
+        stood.as_secs_f64() / 3_600.0
     }
 
     /// The state after each frame when all thresholds lie `factor` times as far from their medians.
@@ -127,15 +149,7 @@ pub(super) fn calibrated(
         }
     };
     let (factor, how) = factor_for(wanted_per_hour);
-    let judged_on = (!judge.is_empty()).then(|| nominal(&judge, factor));
-    let judged_hours = judged_on.map_or(0.0, |on| on.hours);
-    let wanted_hours = DEMONSTRATED / wanted_per_hour;
-    let missing = (judged_hours < wanted_hours).then(|| {
-        format!(
-            "{:.1} hours of held-out drives more to demonstrate {wanted_per_hour} an hour (rule of three)",
-            wanted_hours - judged_hours
-        )
-    });
+    let judged_on = Some(nominal(&judge, factor)).filter(|on| on.hours > 0.0);
     let drawn = if optimistic {
         "the drives that scaled the gaps, optimistic"
     } else {
@@ -153,7 +167,6 @@ pub(super) fn calibrated(
             .to_vec(),
         chosen_on: nominal(&choose, factor),
         judged_on,
-        missing,
     }
 }
 
@@ -209,60 +222,27 @@ fn modelled(drives: &[&DriveScores], wanted: f64) -> (f64, &'static str) {
 }
 
 fn nominal(drives: &[&DriveScores], factor: f64) -> NominalDrives {
-    let hours = drives.iter().map(|drive| drive.hours()).sum();
-    let entries = drives.iter().map(|drive| drive.entries(factor)).sum();
+    let judged: Vec<(u64, f64)> = drives
+        .iter()
+        .map(|drive| (drive.entries(factor), drive.hours()))
+        .filter(|&(_, hours)| hours > 0.0)
+        .collect();
+    let hours = judged.iter().map(|of| of.1).sum();
+    let entries = judged.iter().map(|of| of.0).sum();
     NominalDrives {
-        drives: drives.len() as u64,
+        drives: judged.len() as u64,
         hours,
         entries,
         per_hour: poisson_interval(entries, hours),
+        resampled: bootstrap::one_sided_bounds(bootstrap::rates(&judged)),
     }
-}
-
-/// Exact 95 % interval of a rate from `events` in `hours` (Garwood 1936); from 0 without events, to the bound at which none
-/// has a chance of 2.5 %.
-#[allow(clippy::cast_precision_loss)]
-pub fn poisson_interval(events: u64, hours: f64) -> (f64, f64) {
-    if hours <= 0.0 {
-        return (0.0, f64::MAX);
-    }
-    // Chance of at most `events` events at an expectation of `mean`, summed from its largest term down.
-    let at_most = |events: u64, mean: f64| -> f64 {
-        let log_factorial = |n: u64| (1..=n).map(|i| (i as f64).ln()).sum::<f64>();
-        let log_last = events as f64 * mean.ln() - mean - log_factorial(events);
-        let mut term = log_last.exp();
-        let mut sum = term;
-        for n in (1..=events).rev() {
-            term *= n as f64 / mean;
-            sum += term;
-        }
-        sum
-    };
-    let solved = |target: &dyn Fn(f64) -> bool| {
-        let (mut low, mut high) = (1e-9, 10.0 + 3.0 * (events as f64 + 1.0));
-        for _ in 0..100 {
-            let middle = 0.5 * (low + high);
-            if target(middle) {
-                low = middle
-            } else {
-                high = middle
-            }
-        }
-        0.5 * (low + high)
-    };
-    let upper = solved(&|mean| at_most(events, mean) > 0.025);
-    let lower = if events == 0 {
-        0.0
-    } else {
-        solved(&|mean| 1.0 - at_most(events - 1, mean) < 0.025)
-    };
-    (lower / hours, upper / hours)
 }
 
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used, clippy::float_cmp, clippy::cast_precision_loss)]
     use super::*;
+    use crate::event_rate::{CountedRate, Loudness};
 
     /// A drive of a minute at 2 frames a second that is calm but for 5 s at `peak`.
     fn drive(peak: f64) -> DriveScores {
@@ -272,26 +252,6 @@ mod tests {
             drive.add(Duration::from_millis(500 * i), score, i >= 2);
         }
         drive
-    }
-
-    #[test]
-    fn intervals_of_a_rate_are_garwoods() {
-        // Ulm's table: 0: 0 to 3.689; 5: 1.623 to 11.668; 10: 4.795 to 18.390.
-        for (events, low, high) in [
-            (0, 0.0, 3.6889),
-            (5, 1.6235, 11.6683),
-            (10, 4.7954, 18.3904),
-        ] {
-            let (found_low, found_high) = poisson_interval(events, 2.0);
-            assert!(
-                (found_low - low / 2.0).abs() < 1e-3,
-                "{events}: {found_low}"
-            );
-            assert!(
-                (found_high - high / 2.0).abs() < 1e-3,
-                "{events}: {found_high}"
-            );
-        }
     }
 
     #[test]
@@ -323,9 +283,98 @@ mod tests {
             assert_eq!(judged.drives, 150);
             let (low, high) = judged.per_hour;
             assert!(low <= wanted && wanted <= high, "{wanted}: {judged:?}");
-            assert_eq!(found.missing, None);
+            assert!(!matches!(found.loudness(), Loudness::Louder), "{judged:?}");
         }
         let few = calibrated(&drives[..8], 1.0, false);
-        assert!(few.missing.unwrap().contains("3.0 hours"));
+        assert!(few.said().starts_with("not shown: 0 to "), "{}", few.said());
+        let none = calibrated(&drives[..3], 1.0, false);
+        assert!(
+            none.said()
+                .contains("nothing was judged; 3.0 hours without"),
+            "{}",
+            none.said()
+        );
+    }
+
+    #[test]
+    fn drives_that_are_louder_than_those_that_set_the_rate_are_told() {
+        let peaks = |minutes: u64, peak: f64| {
+            let mut drive = DriveScores::default();
+            for i in 0..120 * minutes {
+                let score = if (60..70).contains(&(i % 120)) {
+                    peak
+                } else {
+                    0.01
+                };
+                drive.add(Duration::from_millis(500 * i), score, i >= 2);
+            }
+            drive
+        };
+        // Of every four drives the fourth, which judges, enters ten times in ten minutes; the others are calm.
+        let (calm, loud) = (peaks(1, 0.01), peaks(10, 9.0));
+        let drives: Vec<DriveScores> = (0..24)
+            .map(|i| if is_judging(i) { &loud } else { &calm })
+            .cloned()
+            .collect();
+        let found = calibrated(&drives, 1.0, false);
+        let on = found.judged_on.unwrap();
+        assert_eq!((on.drives, on.entries), (6, 60));
+        assert_eq!(found.loudness(), Loudness::Louder);
+        assert!(
+            found.said().starts_with("louder than asked: at least 47."),
+            "{}",
+            found.said()
+        );
+        // The same entries in one drive of six: it may be the only one of its kind.
+        let mut kinds = vec![calm; 24];
+        kinds[3] = loud;
+        let found = calibrated(&kinds, 20.0, false);
+        assert_eq!(found.judged_on.unwrap().entries, 10);
+        assert_eq!(
+            CountedRate::new(10, found.judged_on.unwrap().hours, None).loudness(20.0),
+            Loudness::Louder
+        );
+        assert!(
+            matches!(found.loudness(), Loudness::NotShown { .. }),
+            "{}",
+            found.said()
+        );
+    }
+
+    #[test]
+    fn hours_are_those_of_frames_that_could_be_judged() {
+        let minutes = |drive: &DriveScores| 60.0 * drive.hours();
+        let drive_of = |seen: &dyn Fn(u64) -> Option<bool>| {
+            let mut drive = DriveScores::default();
+            for i in 0..120_u64 {
+                let at = Duration::from_millis(500 * i);
+                match seen(i) {
+                    Some(settled) => drive.add(at, 0.1, settled),
+                    None => drive.add_unjudged(at, Reason::Black),
+                }
+            }
+            drive
+        };
+        let near = |found: f64, wanted: f64| assert!((found - wanted).abs() < 1e-9, "{found}");
+        near(minutes(&drive_of(&|i| Some(i >= 2))), 1.0);
+        near(
+            minutes(&drive_of(&|i| (i % 3 > 0).then_some(true))),
+            40.0 / 60.0,
+        );
+        near(minutes(&drive_of(&|_| None)), 0.0);
+        // The state never left Init, as with frames too far apart for the window.
+        near(minutes(&drive_of(&|_| Some(false))), 0.0);
+        // An hour's hole between two halves counts no more than two frames do.
+        let mut hole = DriveScores::default();
+        for i in 0..120_u64 {
+            let at = 500 * i + if i < 60 { 0 } else { 3_600_000 };
+            hole.add(Duration::from_millis(at), 0.1, i >= 2);
+        }
+        near(minutes(&hole), 60.5 / 60.0);
+        near(minutes(&DriveScores::default()), 0.0);
+        // A drive that could not be judged is none that judges.
+        let blind = vec![drive_of(&|_| None); 8];
+        let found = calibrated(&blind, 1.0, false);
+        assert_eq!((found.judged_on, found.chosen_on.drives), (None, 0));
     }
 }

@@ -1,9 +1,14 @@
 //! A CAN socket of Linux in the place of the log.
 //!
-//! Owns the socket: it never blocks, and it is opened again when the interface comes back. Refuses to give up: a bus that
-//! is down, full, unplugged or off refuses frames, and the sender keeps and counts them. In bus-off the kernel goes on
+//! Owns the sockets: they never block, and are opened again when the interface comes back. Refuses to give up: a bus that
+//! is down, full, unplugged or off refuses frames, and the sender offers newer ones. In bus-off the kernel goes on
 //! taking frames and loses them, so nothing is written then. How the controller stands is heard from its error frames and
 //! asked for over netlink.
+//!
+//! A frame in the kernel's queue cannot be taken back, and grows old there while nobody acknowledges. So one frame at a time
+//! is handed over: where the driver echoes what it has sent (`IFF_ECHO`), the next one when the echo of the one before was
+//! heard; elsewhere as long as the socket's send buffer, made as small as Linux allows, is less than half full, which is two
+//! to three frames.
 
 use std::fs;
 use std::io;
@@ -11,10 +16,12 @@ use std::sync::mpsc::{Receiver, channel};
 use std::thread;
 use std::time::Duration;
 
+use heapless::Deque;
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use socketcan::nl::CanState;
 use socketcan::{
-    CanErrorFrame, CanFdFrame, CanFdSocket, CanFilter, CanInterface, CanSocket, EmbeddedFrame, Id,
-    Socket, SocketOptions, StandardId,
+    CanAnyFrame, CanErrorFrame, CanFdFrame, CanFdSocket, CanFilter, CanInterface, CanSocket,
+    EmbeddedFrame, Id, Socket, SocketOptions, StandardId,
 };
 
 use super::{BusState, CanFrame, LARGEST_ID, SinkError, WarningSink};
@@ -24,6 +31,16 @@ const REOPEN: Duration = Duration::from_millis(200);
 
 /// Time between two questions over netlink how the controller stands.
 const ASK: Duration = Duration::from_secs(1);
+
+/// An echo that has not come for this long was lost, unless the controller says that nobody acknowledges. Long enough for any
+/// queue that moves.
+const ECHO_LOST: Duration = Duration::from_secs(5);
+/// Frames of others on our identifiers that are remembered until they are asked for.
+const FOREIGN_MAX: usize = 4;
+/// Bit of an interface's flags that says that its driver echoes what it has sent (`linux/if.h`).
+const IFF_ECHO: u32 = 1 << 18;
+/// Level and name of the option for the size of a socket's send buffer (`asm-generic/socket.h`).
+const SEND_BUFFER: (i32, i32) = (1, 7);
 
 /// Kinds of error frames that are listened for, and what the second data byte of a controller's says (`linux/can/error.h`).
 const CONTROLLER: u32 = 0x04;
@@ -36,20 +53,54 @@ const ACTIVE: u8 = 0x40;
 /// Bits of a socket's filter that tell extended and remote frames from standard data frames (`linux/can.h`).
 const NOT_STANDARD_DATA: u32 = 0xC000_0000;
 
+/// Which identifiers a socket hears.
+#[derive(Clone, Debug)]
+pub struct Heard {
+    /// Those that others send.
+    pub others: Vec<u16>,
+    /// Those that we send.
+    pub own: Vec<u16>,
+}
+
 /// Sends to an interface and hears the frames with some identifiers.
 pub struct SocketSink {
     /// As the user gave it, for messages.
     name: String,
     interface: String,
-    heard: Vec<u16>,
-    socket: Option<CanSocket>,
-    /// For frames of CAN FD, while there is a way for them.
-    fd_socket: Option<CanFdSocket>,
+    heard: Heard,
+    fd: bool,
+    sockets: Option<Sockets>,
+    in_flight: Option<InFlight>,
+    /// Frames of others that were found among the echoes of ours.
+    foreign: Deque<CanFrame, FOREIGN_MAX>,
     /// How the controller stands by netlink.
     answers: Receiver<Option<BusState>>,
-    /// Drive time before which the socket is not opened again, and a bus that is off is not looked at again.
+    /// Drive time before which the sockets are not opened again, and a bus that is off is not looked at again.
     reopen_at: Duration,
     state: BusState,
+}
+
+/// What is open while the interface is there.
+struct Sockets {
+    /// Hears what others say, and how the controller stands.
+    others: CanSocket,
+    /// Sends, and hears what is said on our own identifiers.
+    own: Own,
+    /// Whether frames come back when they have left.
+    echoes: bool,
+}
+
+/// A socket of what the interface can send.
+enum Own {
+    Classic(CanSocket),
+    Fd(CanFdSocket),
+}
+
+/// A frame that was handed over, and when.
+struct InFlight {
+    since: Duration,
+    id: u16,
+    data: heapless::Vec<u8, 64>,
 }
 
 impl SocketSink {
@@ -58,19 +109,19 @@ impl SocketSink {
     ///
     /// # Errors
     /// [`SinkError::Open`] when there is no such CAN interface, or it has no CAN FD.
-    pub fn open(interface: &str, heard: &[u16], fd: bool) -> Result<Self, SinkError> {
+    pub fn open(interface: &str, heard: Heard, fd: bool) -> Result<Self, SinkError> {
         let name = format!("socketcan:{interface}");
-        let opened = socket(interface, heard).and_then(|socket| {
-            let fd_socket = fd.then(|| fd_socket(interface)).transpose()?;
-            Ok((socket, fd_socket, ask(interface)?))
-        });
+        let opened =
+            Sockets::open(interface, &heard, fd).and_then(|sockets| Ok((sockets, ask(interface)?)));
         match opened {
-            Ok((socket, fd_socket, answers)) => Ok(Self {
+            Ok((sockets, answers)) => Ok(Self {
                 name,
                 interface: interface.to_owned(),
-                heard: heard.to_vec(),
-                socket: Some(socket),
-                fd_socket,
+                heard,
+                fd,
+                sockets: Some(sockets),
+                in_flight: None,
+                foreign: Deque::new(),
                 answers,
                 reopen_at: Duration::ZERO,
                 state: if carrier(interface) == Some(false) {
@@ -83,7 +134,7 @@ impl SocketSink {
         }
     }
 
-    fn write(&mut self, at: Duration, frame: &CanFrame) -> io::Result<()> {
+    fn write(&mut self, at: Duration, id: u16, data: &[u8], fd: bool) -> io::Result<()> {
         if self.state == BusState::Off {
             let off = || io::Error::other("it is off the bus after too many errors");
             if at < self.reopen_at {
@@ -95,52 +146,62 @@ impl SocketSink {
             }
             self.hear_state(BusState::Unknown);
         }
-        if self.socket.is_none() {
+        if self.sockets.is_none() {
             if at < self.reopen_at {
                 return Err(io::ErrorKind::NotConnected.into());
             }
             self.reopen_at = at + REOPEN;
-            self.socket = Some(socket(&self.interface, &self.heard)?);
+            self.sockets = Some(Sockets::open(&self.interface, &self.heard, self.fd)?);
             log::warn!("{}: the interface is back", self.name);
         }
-        let id = StandardId::new(frame.id).ok_or(io::ErrorKind::InvalidInput)?;
-        let Some((socket, frame)) = self
-            .socket
-            .as_ref()
-            .zip(socketcan::CanFrame::new(id, &frame.data))
-        else {
-            return Err(io::ErrorKind::InvalidInput.into());
+        let Some(sockets) = &self.sockets else {
+            return Err(io::ErrorKind::NotConnected.into());
         };
-        let taken = socket.write_frame(&frame);
-        // An interface that is down or full keeps its socket; one that was deleted or unplugged needs a new one.
-        if let Err(error) = &taken
-            && error.kind() != io::ErrorKind::WouldBlock
-            && !is_passing(error)
-        {
-            self.socket = None;
-            self.reopen_at = at + REOPEN;
+        let taken = sockets.write(id, data, fd);
+        match &taken {
+            Ok(()) if sockets.echoes => {
+                self.in_flight = Some(InFlight {
+                    since: at,
+                    id,
+                    data: data.iter().copied().collect(),
+                });
+            }
+            // An interface that is down or full keeps its sockets; one that was deleted or unplugged needs new ones.
+            Err(error) if error.kind() != io::ErrorKind::WouldBlock && !is_passing(error) => {
+                self.sockets = None;
+                self.reopen_at = at + REOPEN;
+            }
+            _ => {}
         }
         taken
     }
 
-    fn write_fd(&mut self, id: u16, data: &[u8]) -> io::Result<()> {
-        // Whether the bus is there is found out by the frames that every car needs.
-        if self.socket.is_none() || self.state == BusState::Off {
-            return Ok(());
+    /// Hears the echoes of our frames; what others send on our identifiers is kept for [`WarningSink::receive`].
+    fn hear_own(&mut self) {
+        let Some(sockets) = &self.sockets else {
+            self.in_flight = None;
+            return;
+        };
+        loop {
+            match sockets.read_own() {
+                Ok((id, data)) => {
+                    let is_ours = |sent: &InFlight| sent.id == id && sent.data == data;
+                    if self.in_flight.as_ref().is_some_and(is_ours) {
+                        self.in_flight = None;
+                    } else if let Some(id) = StandardId::new(id) {
+                        // One of many is enough to complain.
+                        let _ = self.foreign.push_back(classic(id, &data));
+                    }
+                }
+                Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+                Err(error) if error.kind() == io::ErrorKind::WouldBlock => return,
+                // An interface that goes down or away forgets what it was to send.
+                Err(_) => {
+                    self.in_flight = None;
+                    return;
+                }
+            }
         }
-        if self.fd_socket.is_none() {
-            self.fd_socket = Some(fd_socket(&self.interface)?);
-        }
-        let frame = StandardId::new(id).and_then(|id| CanFdFrame::new(id, data));
-        let frame = frame.ok_or(io::ErrorKind::InvalidInput)?;
-        let taken = (self.fd_socket.as_ref()).map_or(Ok(()), |socket| socket.write_frame(&frame));
-        if let Err(error) = &taken
-            && error.kind() != io::ErrorKind::WouldBlock
-            && !is_passing(error)
-        {
-            self.fd_socket = None;
-        }
-        taken
     }
 
     fn hear_answers(&mut self) {
@@ -224,21 +285,112 @@ fn is_passing(error: &io::Error) -> bool {
     ) || error.raw_os_error() == Some(ENOBUFS)
 }
 
-fn socket(interface: &str, heard: &[u16]) -> io::Result<CanSocket> {
-    let socket = CanSocket::open(interface)?;
+impl Sockets {
+    fn open(interface: &str, heard: &Heard, fd: bool) -> io::Result<Self> {
+        let others = set_up(CanSocket::open(interface)?, &heard.others)?;
+        others.set_error_filter(CONTROLLER | BUS_OFF | RESTARTED)?;
+        let echoes = echoes(interface);
+        let own = if fd {
+            has_fd(interface)?;
+            let socket = set_up(CanFdSocket::open(interface)?, &heard.own)?;
+            Own::Fd(set_up_own(socket, echoes)?)
+        } else {
+            let socket = set_up(CanSocket::open(interface)?, &heard.own)?;
+            Own::Classic(set_up_own(socket, echoes)?)
+        };
+        Ok(Self {
+            others,
+            own,
+            echoes,
+        })
+    }
+
+    fn write(&self, id: u16, data: &[u8], fd: bool) -> io::Result<()> {
+        let invalid = || io::Error::from(io::ErrorKind::InvalidInput);
+        let id = StandardId::new(id).ok_or_else(invalid)?;
+        let frame = || socketcan::CanFrame::new(id, data).ok_or_else(invalid);
+        match &self.own {
+            Own::Fd(socket) if fd => {
+                socket.write_frame(&CanFdFrame::new(id, data).ok_or_else(invalid)?)
+            }
+            Own::Fd(socket) => socket.write_frame(&frame()?),
+            Own::Classic(socket) => socket.write_frame(&frame()?),
+        }
+    }
+
+    /// The next frame on one of our identifiers, whoever sent it.
+    fn read_own(&self) -> io::Result<(u16, heapless::Vec<u8, 64>)> {
+        loop {
+            let frame: CanAnyFrame = match &self.own {
+                Own::Fd(socket) => socket.read_frame()?,
+                Own::Classic(socket) => socket.read_frame()?.into(),
+            };
+            let (id, data) = match &frame {
+                CanAnyFrame::Normal(frame) => (frame.id(), frame.data()),
+                CanAnyFrame::Fd(frame) => (frame.id(), frame.data()),
+                CanAnyFrame::Remote(_) | CanAnyFrame::Error(_) => continue,
+            };
+            if let Id::Standard(id) = id {
+                return Ok((id.as_raw(), data.iter().copied().collect()));
+            }
+        }
+    }
+
+    /// Whether few enough frames are on their way.
+    fn has_room(&self) -> bool {
+        let mut own = [match &self.own {
+            Own::Fd(socket) => PollFd::new(socket, PollFlags::OUT),
+            Own::Classic(socket) => PollFd::new(socket, PollFlags::OUT),
+        }];
+        let now = Timespec::default();
+        // Of an interface that is down, writing tells more.
+        !matches!(poll(&mut own, Some(&now)), Ok(0))
+    }
+}
+
+/// A frame as it is heard. A shorter one ends in ones: what lies beyond its end is not known, and never a speed of 0.
+fn classic(id: StandardId, data: &[u8]) -> CanFrame {
+    let mut whole = [0xFF; 8];
+    whole
+        .iter_mut()
+        .zip(data)
+        .for_each(|(to, from)| *to = *from);
+    CanFrame {
+        id: id.as_raw(),
+        data: whole,
+    }
+}
+
+/// Whether the interface's driver says when a frame has left.
+fn echoes(interface: &str) -> bool {
+    let flags = fs::read_to_string(format!("/sys/class/net/{interface}/flags"));
+    let flags = flags.ok().and_then(|flags| {
+        let digits = flags.trim().strip_prefix("0x")?;
+        u32::from_str_radix(digits, 16).ok()
+    });
+    flags.is_some_and(|flags| flags & IFF_ECHO != 0)
+}
+
+/// Never blocks, and hears standard data frames of these identifiers alone.
+fn set_up<S: Socket + SocketOptions>(socket: S, heard: &[u16]) -> io::Result<S> {
     socket.set_nonblocking(true)?;
     let mask = u32::from(LARGEST_ID) | NOT_STANDARD_DATA;
-    let filters: Vec<CanFilter> = heard
-        .iter()
-        .map(|&id| CanFilter::new(id.into(), mask))
-        .collect();
+    let filter = |&id: &u16| CanFilter::new(id.into(), mask);
+    let filters: Vec<CanFilter> = heard.iter().map(filter).collect();
     socket.set_filters(&filters)?;
-    socket.set_error_filter(CONTROLLER | BUS_OFF | RESTARTED)?;
     Ok(socket)
 }
 
-/// Sends frames of CAN FD and hears none.
-fn fd_socket(interface: &str) -> io::Result<CanFdSocket> {
+/// Hears its own frames where they come back when they have left, and lets as few as possible wait.
+fn set_up_own<S: SocketOptions>(socket: S, echoes: bool) -> io::Result<S> {
+    socket.set_error_filter_drop_all()?;
+    socket.set_recv_own_msgs(echoes)?;
+    let (level, name) = SEND_BUFFER;
+    socket.set_socket_option_int(level, name, 0)?;
+    Ok(socket)
+}
+
+fn has_fd(interface: &str) -> io::Result<()> {
     const CLASSIC: &str = "16";
     let mtu = fs::read_to_string(format!("/sys/class/net/{interface}/mtu"));
     if mtu.is_ok_and(|mtu| mtu.trim() == CLASSIC) {
@@ -246,27 +398,41 @@ fn fd_socket(interface: &str) -> io::Result<CanFdSocket> {
             "it has no CAN FD; wanted `ip link set IFACE type can ... fd on` (of a virtual one `ip link set IFACE mtu 72`), or no fd = true in [can]",
         ));
     }
-    let socket = CanFdSocket::open(interface)?;
-    socket.set_nonblocking(true)?;
-    socket.set_filter_drop_all()?;
-    Ok(socket)
+    Ok(())
 }
 
 impl WarningSink for SocketSink {
     fn send(&mut self, at: Duration, frame: &CanFrame) -> Result<(), SinkError> {
         self.hear_answers();
-        self.write(at, frame).map_err(|source| SinkError::Refused {
+        let taken = self.write(at, frame.id, &frame.data, false);
+        taken.map_err(|source| SinkError::Refused {
             sink: self.name.clone(),
             source,
         })
     }
 
-    fn send_fd(&mut self, _at: Duration, id: u16, data: &[u8]) -> Result<(), SinkError> {
-        self.write_fd(id, data)
-            .map_err(|source| SinkError::Refused {
-                sink: self.name.clone(),
-                source,
-            })
+    fn send_fd(&mut self, at: Duration, id: u16, data: &[u8]) -> Result<(), SinkError> {
+        let taken = self.write(at, id, data, true);
+        taken.map_err(|source| SinkError::Refused {
+            sink: self.name.clone(),
+            source,
+        })
+    }
+
+    fn is_ready(&mut self, now: Duration) -> bool {
+        self.hear_own();
+        match &self.in_flight {
+            Some(sent) => {
+                let lost = now.saturating_sub(sent.since) >= ECHO_LOST;
+                if lost && self.state != BusState::Passive {
+                    log::warn!("{}: it did not say that a frame has left", self.name);
+                    self.in_flight = None;
+                }
+            }
+            None => {}
+        }
+        let has_room = self.sockets.as_ref().is_none_or(Sockets::has_room);
+        self.in_flight.is_none() && has_room
     }
 
     fn bus_state(&self) -> BusState {
@@ -275,22 +441,24 @@ impl WarningSink for SocketSink {
 
     fn receive(&mut self) -> Option<CanFrame> {
         self.hear_answers();
+        self.hear_own();
+        if let Some(frame) = self.foreign.pop_front() {
+            return Some(frame);
+        }
         loop {
-            match self.socket.as_ref()?.read_frame() {
+            match self.sockets.as_ref()?.others.read_frame() {
                 Ok(socketcan::CanFrame::Error(frame)) => {
+                    if frame.error_bits() & (BUS_OFF | RESTARTED) != 0 {
+                        // The controller forgets what it was to send.
+                        self.in_flight = None;
+                    }
                     if let Some(state) = state_of(&frame) {
                         self.hear_state(state);
                     }
                 }
                 Ok(frame) => {
                     if let Id::Standard(id) = frame.id() {
-                        // A shorter frame ends in ones: what lies beyond its end is not known, and never a speed of 0.
-                        let mut data = [0xFF; 8];
-                        data.iter_mut()
-                            .zip(frame.data())
-                            .for_each(|(to, from)| *to = *from);
-                        let id = id.as_raw();
-                        return Some(CanFrame { id, data });
+                        return Some(classic(id, frame.data()));
                     }
                 }
                 Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
@@ -324,7 +492,16 @@ mod tests {
 
     #[test]
     fn an_interface_that_is_not_there_is_named() {
-        let refusal = SocketSink::open("nocan7", &[0x5D8], false).err().unwrap();
+        let refusal = SocketSink::open(
+            "nocan7",
+            Heard {
+                others: vec![0x5D8],
+                own: vec![0x5D0],
+            },
+            false,
+        )
+        .err()
+        .unwrap();
         assert!(matches!(refusal, SinkError::Open { .. }));
         assert!(refusal.to_string().contains("socketcan:nocan7"));
     }

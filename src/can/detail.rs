@@ -111,7 +111,7 @@ impl DetailSender {
         detail: &GapDetail,
         sink: &mut dyn WarningSink,
     ) -> Result<(), SinkError> {
-        if now < self.next {
+        if now < self.next || !sink.is_ready(now) {
             return Ok(());
         }
         self.next = (self.next + self.period).max(now + self.period / 2);

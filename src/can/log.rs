@@ -1,13 +1,15 @@
 //! A log in the place of a bus: candump log format, one frame a line.
 //!
 //! `(0000000012.300000) can0 5D0#0011223344556677`, the time being that of the drive in seconds.
-//! Owns the lines. Refuses to leave half a log behind: the file appears when it is finished.
+//! Owns the lines. Of a replay the file appears when it is finished; of a live run every line is there as it is sent.
 
 use std::io::{self, Write};
 use std::path::Path;
 use std::time::Duration;
 
 use super::{CanFrame, SinkError, WarningSink};
+use crate::live_file::LiveFile;
+use crate::output::{Output, Stream};
 use crate::whole_file::WholeFile;
 
 /// Name of the interface in the log.
@@ -17,20 +19,15 @@ pub const INTERFACE: &str = "can0";
 pub struct LogSink {
     /// As the user gave it, for messages.
     name: String,
-    out: Out,
-}
-
-enum Out {
-    Stream(Box<dyn Write>),
-    File(WholeFile),
+    out: Box<dyn Output>,
 }
 
 impl LogSink {
     /// Writes to `out`; `name` is used in error messages.
-    pub fn stream(name: &str, out: impl Write + 'static) -> Self {
+    pub fn stream(name: &str, out: impl Write + Send + 'static) -> Self {
         Self {
             name: name.to_owned(),
-            out: Out::Stream(Box::new(out)),
+            out: Box::new(Stream(out)),
         }
     }
 
@@ -40,68 +37,58 @@ impl LogSink {
     /// # Errors
     /// [`SinkError::Open`] when `path` cannot be written.
     pub fn create(path: &Path) -> Result<Self, SinkError> {
+        Self::of_file(path, WholeFile::create(path))
+    }
+
+    /// Writes to a file in which every line is there as it is sent; the one that may be there is kept beside it.
+    ///
+    /// # Errors
+    /// [`SinkError::Open`] when `path` cannot be written.
+    pub fn live(path: &Path) -> Result<Self, SinkError> {
+        Self::of_file(path, LiveFile::create(path))
+    }
+
+    fn of_file(path: &Path, file: io::Result<impl Output + 'static>) -> Result<Self, SinkError> {
         let name = path.display().to_string();
-        match WholeFile::create(path) {
+        match file {
             Ok(file) => Ok(Self {
                 name,
-                out: Out::File(file),
+                out: Box::new(file),
             }),
             Err(source) => Err(SinkError::Open { sink: name, source }),
         }
+    }
+
+    fn write(&mut self, line: &str) -> Result<(), SinkError> {
+        let written = self.out.write_all(line.as_bytes());
+        written.map_err(|source| SinkError::Write {
+            sink: self.name.clone(),
+            source,
+        })
     }
 }
 
 impl WarningSink for LogSink {
     fn send(&mut self, at: Duration, frame: &CanFrame) -> Result<(), SinkError> {
-        let out: &mut dyn Write = match &mut self.out {
-            Out::Stream(out) => out,
-            Out::File(file) => file,
-        };
-        write_line(out, at, frame.id, "#", &frame.data).map_err(|source| SinkError::Write {
-            sink: self.name.clone(),
-            source,
-        })
+        self.write(&line(at, frame.id, "#", &frame.data))
     }
 
     fn send_fd(&mut self, at: Duration, id: u16, data: &[u8]) -> Result<(), SinkError> {
-        let out: &mut dyn Write = match &mut self.out {
-            Out::Stream(out) => out,
-            Out::File(file) => file,
-        };
         // Behind the second sign is a digit of flags: none.
-        write_line(out, at, id, "##0", data).map_err(|source| SinkError::Write {
-            sink: self.name.clone(),
-            source,
-        })
+        self.write(&line(at, id, "##0", data))
     }
 
     fn finish(self: Box<Self>) -> Result<(), SinkError> {
         let Self { name, out } = *self;
-        let finished = match out {
-            Out::Stream(mut out) => out.flush(),
-            Out::File(file) => file.finish(),
-        };
+        let finished = out.finish();
         finished.map_err(|source| SinkError::Finish { sink: name, source })
     }
 }
 
-fn write_line(
-    out: &mut dyn Write,
-    at: Duration,
-    id: u16,
-    sign: &str,
-    data: &[u8],
-) -> io::Result<()> {
-    write!(
-        out,
-        "({:010}.{:06}) {INTERFACE} {id:03X}{sign}",
-        at.as_secs(),
-        at.subsec_micros(),
-    )?;
-    for byte in data {
-        write!(out, "{byte:02X}")?;
-    }
-    writeln!(out)
+fn line(at: Duration, id: u16, sign: &str, data: &[u8]) -> String {
+    let (seconds, micros) = (at.as_secs(), at.subsec_micros());
+    let bytes: String = data.iter().map(|byte| format!("{byte:02X}")).collect();
+    format!("({seconds:010}.{micros:06}) {INTERFACE} {id:03X}{sign}{bytes}\n")
 }
 
 #[cfg(test)]
@@ -133,22 +120,11 @@ mod tests {
 
     #[test]
     fn line_is_that_of_candump() {
-        let mut line = Vec::new();
-        write_line(
-            &mut line,
-            Duration::from_millis(12_300),
-            FRAME.id,
-            "#",
-            &FRAME.data,
-        )
-        .unwrap();
-        assert_eq!(String::from_utf8(line).unwrap(), LINE);
-
-        let mut line = Vec::new();
-        let data = [0xFF, 0, 0x1A];
-        write_line(&mut line, Duration::from_nanos(1_999), 0x01F, "##0", &data).unwrap();
+        let at = Duration::from_millis(12_300);
+        assert_eq!(line(at, FRAME.id, "#", &FRAME.data), LINE);
         let wanted = "(0000000000.000001) can0 01F##0FF001A\n";
-        assert_eq!(String::from_utf8(line).unwrap(), wanted);
+        let at = Duration::from_nanos(1_999);
+        assert_eq!(line(at, 0x01F, "##0", &[0xFF, 0, 0x1A]), wanted);
     }
 
     #[test]

@@ -5,6 +5,7 @@ use std::path::Path;
 
 use anyhow::{Context, bail};
 use gapwatch::calibration::Wanted;
+use gapwatch::event_rate::{Hours, Loudness, ThreeDigits};
 use gapwatch::frame::drives;
 use gapwatch::gap::Metric;
 use gapwatch::reference::{NominalDrives, Reference, Role};
@@ -102,10 +103,18 @@ pub fn describe(reference: &Reference, file: &Path, out: &mut dyn Write) -> anyh
         }
     }
     let said = |on: &NominalDrives| {
-        format!(
-            "{} entries in {:.2} h of {} drives, {:.2} to {:.2} an hour (95 %)",
-            on.entries, on.hours, on.drives, on.per_hour.0, on.per_hour.1
-        )
+        let counted = format!(
+            "{} entries in {} of {} drives",
+            on.entries,
+            Hours(on.hours),
+            on.drives
+        );
+        if on.hours > 0.0 {
+            let (low, high) = (ThreeDigits(on.per_hour.0), ThreeDigits(on.per_hour.1));
+            format!("{counted}, {low} to {high} an hour (95 %)")
+        } else {
+            "no drive that could be judged".to_owned()
+        }
     };
     let alarms = &reference.false_alarms;
     writeln!(
@@ -117,8 +126,18 @@ pub fn describe(reference: &Reference, file: &Path, out: &mut dyn Write) -> anyh
     if let Some(on) = &alarms.judged_on {
         writeln!(out, "  judged on {}", said(on))?;
     }
-    if let Some(missing) = &alarms.missing {
-        writeln!(out, "  not demonstrated: wanted {missing}")?;
+    writeln!(out, "  {}", alarms.said())?;
+    match alarms.loudness() {
+        Loudness::Louder => log::warn!(
+            "{}: false alarms are {}; {} an hour wanted",
+            file.display(),
+            alarms.said(),
+            alarms.wanted_per_hour
+        ),
+        Loudness::NotShown { .. } => {
+            writeln!(out, "  every fourth drive of --held-out judges")?;
+        }
+        Loudness::NotLouder => {}
     }
     Ok(())
 }

@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use console::{Style, StyledObject};
 use gapwatch::alarm::AlarmState;
-use gapwatch::pipeline::Verdict;
+use gapwatch::judge::Verdict;
 use indicatif::{HumanDuration, ProgressBar, ProgressDrawTarget, ProgressStyle};
 
 /// How often the line changes, a second: as often as one can read it.

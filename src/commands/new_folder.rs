@@ -1,15 +1,15 @@
 //! Folders that appear whole or not at all.
 
 use std::fs;
-use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
-use tempfile::TempDir;
+use gapwatch::durable::{folder_of, put_in_place, sync_contents};
+use gapwatch::temporary_folder::TemporaryFolder;
 
 /// A folder under another name until it is complete; removed if that never happens.
 pub struct NewFolder {
-    folder: TempDir,
+    folder: TemporaryFolder,
     target: PathBuf,
 }
 
@@ -26,14 +26,7 @@ impl NewFolder {
         }
         // A link to an empty folder stays a link.
         let target = target.canonicalize().unwrap_or_else(|_| target.to_owned());
-        let parent = target
-            .parent()
-            .filter(|p| !p.as_os_str().is_empty())
-            .unwrap_or(Path::new("."));
-        let folder = tempfile::Builder::new()
-            .prefix(".gapwatch-")
-            .permissions(PermissionsExt::from_mode(0o755))
-            .tempdir_in(parent)
+        let folder = TemporaryFolder::create(folder_of(&target), ".gapwatch-", 0o755)
             .with_context(|| format!("cannot create {}", target.display()))?;
         Ok(Self { folder, target })
     }
@@ -43,9 +36,10 @@ impl NewFolder {
         self.folder.path()
     }
 
-    /// Puts the folder in its place.
+    /// Puts the folder in its place; it is on the disk, with all that it holds, when this returns.
     pub fn keep(self) -> anyhow::Result<()> {
-        fs::rename(self.path(), &self.target)
+        sync_contents(self.path())
+            .and_then(|()| put_in_place(self.path(), &self.target))
             .with_context(|| format!("cannot put {} in place", self.target.display()))
     }
 }

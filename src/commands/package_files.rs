@@ -6,6 +6,7 @@ use std::io::Write;
 use anyhow::Context;
 use clap::CommandFactory;
 use clap_complete::{Shell, generate_to};
+use gapwatch::durable::sync_contents;
 
 use crate::args::{Cli, PackageFilesArgs};
 
@@ -29,6 +30,7 @@ pub fn run(args: &PackageFilesArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
             generate_to(shell, &mut Cli::command(), "gapwatch", folder).with_context(cannot)?;
         fs::rename(made, &place).with_context(cannot)?;
     }
+    sync_contents(&args.out).with_context(cannot)?;
     writeln!(out, "{}: man pages and completions", args.out.display())?;
     Ok(0)
 }

@@ -2,22 +2,28 @@
 
 use std::collections::{BTreeMap, HashSet};
 use std::io::Write;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail};
 use gapwatch::alarm::AlarmState;
 use gapwatch::can::{CanSettings, Sink};
+use gapwatch::clock::ClockTime;
 use gapwatch::evidence::Recorder;
-use gapwatch::frame::{BUILT_IN_DRIVE, Frame, open};
+use gapwatch::frame::{BUILT_IN_DRIVE, Frame, FrameSource, open};
 use gapwatch::journal::{About, Journal, RecordingJournal};
-use gapwatch::pipeline::{Monitor, Verdict};
+use gapwatch::judge::Verdict;
+use gapwatch::live::bus::Bus;
+use gapwatch::live::outputs::{OutputError, Outputs};
+use gapwatch::pipeline::Monitor;
 use gapwatch::reference::Reference;
 
-use super::bus::Bus;
 use super::live::Live;
-use super::{Model, state_line, tell_evidence};
+use super::{Model, signals, state_line, tell_evidence};
 use crate::args::{ReplayArgs, Speed};
 
+/// How soon a wait for the next frame ends after a signal.
+const STOPS_WITHIN: Duration = Duration::from_millis(50);
 /// With `--check`: a judging state for at least this share of the time after `Init`, or "could not judge".
 const JUDGED_MIN: f64 = 0.9;
 /// Exit codes of `--check`.
@@ -47,20 +53,13 @@ pub fn run(args: &ReplayArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
     let mut monitor = Monitor::new(&model.encoder, &reference)?;
     let source_name = args.source.as_deref().unwrap_or(BUILT_IN_DRIVE);
     let mut source = open(source_name)?;
-    let mut journal = args
-        .journal
-        .as_deref()
-        .map(|path| Journal::create(path, &model.spec.taps))
-        .transpose()?;
     let about = About::new(source_name, &reference_name, &reference);
-    let recording = args
-        .mcap
-        .as_deref()
-        .map(|path| RecordingJournal::create(path, &model.spec.taps, &about))
-        .transpose()?;
-    if let Some(journal) = &mut journal {
-        journal.describe(about);
-    }
+    let (taps, began) = (&model.spec.taps, ClockTime::now());
+    let journal = args.journal.as_deref();
+    let journal = journal.map(|path| Journal::create(path, taps, &began, &about));
+    let recording = args.mcap.as_deref();
+    let recording = recording.map(|path| RecordingJournal::create(path, taps, &about));
+    let (journal, recording) = (journal.transpose()?, recording.transpose()?);
     let mut recorder = args
         .evidence
         .as_deref()
@@ -74,8 +73,8 @@ pub fn run(args: &ReplayArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
         fd: args.fd,
         ..CanSettings::default()
     };
-    let bus = Bus::new(&args.can, settings, &reference)?;
-    let live = Live::new(source.frame_count(), args.quiet);
+    let sink = args.can.open(&settings)?;
+    let bus = Bus::new(sink, settings, &reference)?;
     // With the CAN log on standard output, the lines for people go where they do not mix with it.
     let (mut aside, mut nowhere) = (std::io::stderr(), std::io::sink());
     let out: &mut dyn Write = match args.can {
@@ -83,50 +82,53 @@ pub fn run(args: &ReplayArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
         Sink::Stdout => &mut aside,
         _ => out,
     };
+    let stop = signals::stop()?;
     let mut told = Told {
-        journal,
-        recording,
-        bus,
-        live,
+        outputs: Outputs {
+            bus,
+            journal,
+            recording,
+        },
+        live: Live::new(source.frame_count(), args.quiet),
         summary: Summary::default(),
     };
     let began = Instant::now();
-    while let Some(frame) = source.next_frame()? {
-        if args.speed == Speed::Realtime {
-            std::thread::sleep(frame.captured_at.saturating_sub(began.elapsed()));
-        }
-        told.record(&frame, source.began_at())?;
-        if let Some(silence) = monitor.silence(frame.captured_at) {
-            told.tell(&silence, Duration::ZERO, out)?;
-        }
-        let taken = Instant::now();
-        let verdict = monitor.step(&frame);
-        told.tell(&verdict, taken.elapsed(), out)?;
-        if let Some(recorder) = &mut recorder {
-            recorder.offer(frame, &verdict, || monitor.look());
-        }
-        told.live.count();
-    }
+    let ended = told.drive(
+        source.as_mut(),
+        &mut monitor,
+        recorder.as_mut(),
+        args.speed,
+        &stop,
+        out,
+    );
+    // What was told up to here is kept, however it ended.
     let Told {
-        journal,
-        recording,
-        bus,
+        outputs,
         live,
         summary,
     } = told;
     live.finish();
-    bus.finish()?;
-    if let Some(journal) = journal {
-        journal.finish()?;
-    }
-    if let Some(recording) = recording {
-        recording.finish()?;
-    }
+    let finished = first(outputs.finish());
+    let kept = recorder.map(Recorder::finish);
+    ended?;
+    finished?;
     summary.tell(began.elapsed(), out)?;
-    if let Some(recorder) = recorder {
-        tell_evidence(recorder.finish(), out)?;
+    kept.map_or(Ok(()), |kept| tell_evidence(kept, out))?;
+    if stop.load(Ordering::Relaxed) {
+        bail!(
+            "{source_name}: stopped by a signal after {} frames; what was to be written is whole up to there",
+            summary.frames
+        );
     }
     Ok(if args.check { summary.found() } else { 0 })
+}
+
+/// In a replay the trouble of any output ends the run.
+fn first(troubles: Vec<OutputError>) -> anyhow::Result<()> {
+    troubles
+        .into_iter()
+        .next()
+        .map_or(Ok(()), |trouble| Err(trouble.into()))
 }
 
 /// Every output has a file of its own.
@@ -149,26 +151,63 @@ fn check_outputs(args: &ReplayArgs) -> anyhow::Result<()> {
     Ok(())
 }
 
+/// Waits until so much time has passed since `began`, or `stop` is set.
+fn wait_until(at: Duration, began: Instant, stop: &AtomicBool) {
+    while began.elapsed() < at && !stop.load(Ordering::Relaxed) {
+        std::thread::sleep((at - began.elapsed().min(at)).min(STOPS_WITHIN));
+    }
+}
+
 /// Everybody who hears of a verdict.
 struct Told {
-    journal: Option<Journal>,
-    recording: Option<RecordingJournal>,
-    bus: Bus,
+    outputs: Outputs,
     live: Live,
     summary: Summary,
 }
 
 impl Told {
+    /// Tells of every frame, until there are no more or `stop` is set.
+    fn drive(
+        &mut self,
+        source: &mut dyn FrameSource,
+        monitor: &mut Monitor,
+        mut recorder: Option<&mut Recorder>,
+        speed: Speed,
+        stop: &AtomicBool,
+        out: &mut dyn Write,
+    ) -> anyhow::Result<()> {
+        let began = Instant::now();
+        while !stop.load(Ordering::Relaxed)
+            && let Some(frame) = source.next_frame()?
+        {
+            if speed == Speed::Realtime {
+                wait_until(frame.captured_at, began, stop);
+            }
+            self.record(&frame, source.began_at())?;
+            if let Some(silence) = monitor.silence(frame.captured_at) {
+                self.tell(&silence, Duration::ZERO, out)?;
+            }
+            let taken = Instant::now();
+            let verdict = monitor.step(&frame);
+            self.tell(&verdict, taken.elapsed(), out)?;
+            if let Some(recorder) = &mut recorder {
+                recorder.offer(frame, &verdict, || monitor.look());
+            }
+            self.live.count();
+        }
+        Ok(())
+    }
+
     /// Keeps a frame that is about to be judged.
     fn record(&mut self, frame: &Frame, began_at: Option<Duration>) -> anyhow::Result<()> {
-        if let Some(recording) = &mut self.recording {
+        if let Some(recording) = &mut self.outputs.recording {
             recording.begin_at(began_at.unwrap_or_default());
             recording.add_image(frame)?;
         }
         Ok(())
     }
 
-    /// Tells bus and journal, and people when the state has changed.
+    /// Tells bus, journal and recording, and people when the state has changed.
     fn tell(
         &mut self,
         verdict: &Verdict,
@@ -176,13 +215,7 @@ impl Told {
         out: &mut dyn Write,
     ) -> anyhow::Result<()> {
         let before = self.summary.add(verdict);
-        self.bus.tell(verdict.at, verdict, latency)?;
-        if let Some(journal) = &mut self.journal {
-            journal.add(verdict, latency)?;
-        }
-        if let Some(recording) = &mut self.recording {
-            recording.add(verdict, latency)?;
-        }
+        first(self.outputs.tell(verdict.at, verdict, latency))?;
         if before != Some(verdict.state) {
             self.live.above(|| {
                 writeln!(out, "{}", state_line(verdict))?;

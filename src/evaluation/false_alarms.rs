@@ -2,9 +2,10 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::resampling::{ROUNDS, SplitMix64, percentile_interval};
 use super::watched::{Script, Shown};
-use crate::calibration::{DEMONSTRATED, DriveScores, poisson_interval};
+use crate::bootstrap;
+use crate::calibration::DriveScores;
+use crate::event_rate::{CountedRate, Loudness, poisson_interval};
 use crate::scene::Look;
 
 /// Frames a second of the drives.
@@ -37,65 +38,72 @@ pub struct FalseAlarmRate {
     pub nominal: String,
     /// Entries an hour that the thresholds are made for.
     pub wanted: f64,
-    /// Entries an hour found.
-    pub measured: f64,
+    /// Entries an hour found; `None` when nothing could be judged.
+    pub measured: Option<f64>,
     /// 95 % interval of the rate: from resampling drives, since a road that is near the threshold enters more than once, and
-    /// never narrower than the exact one of independent entries (Poisson).
-    pub bound: (f64, f64),
+    /// never narrower than the exact one of independent entries (Poisson). `None` when nothing could be judged.
+    pub bound: Option<(f64, f64)>,
+    /// One-sided 95 % bounds of the rate from resampling drives. `None` when nothing could be judged, and in files of older
+    /// versions.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub resampled: Option<(f64, f64)>,
     /// Entries.
     pub entries: u64,
-    /// Drives.
+    /// Drives in which something could be judged.
     pub drives: u64,
-    /// Hours in all.
+    /// Judged hours in all.
     pub hours: f64,
-    /// The interval holds the wanted rate.
-    pub kept: bool,
-    /// There are hours enough to say so: `wanted x hours >= 3`.
-    pub demonstrated: bool,
 }
 
-fn interval(drives: &[DriveScores], factor: f64, hours: f64) -> (f64, f64) {
-    let counts: Vec<u64> = drives.iter().map(|drive| drive.entries(factor)).collect();
-    let independent = poisson_interval(counts.iter().sum(), hours);
-    let mut dice = SplitMix64::new(0);
-    // Counts of entries are small, and drives are of equal length.
-    #[allow(clippy::cast_precision_loss)]
-    let resampled = (0..ROUNDS).map(|_| {
-        let drawn = (0..counts.len()).map(|_| counts[dice.below(counts.len())]);
-        drawn.sum::<u64>() as f64 / hours.max(f64::MIN_POSITIVE)
-    });
-    match percentile_interval(resampled.collect()) {
-        Some((low, high)) => (low.min(independent.0), high.max(independent.1)),
-        None => independent,
+impl FalseAlarmRate {
+    /// What the drives say of the wanted rate.
+    pub fn loudness(&self) -> Loudness {
+        self.counted().loudness(self.wanted)
+    }
+
+    /// What is missing before the rate is shown not to be louder than wanted; `None` when nothing is missing.
+    pub fn missing(&self) -> Option<String> {
+        self.counted().missing(self.wanted)
+    }
+
+    /// The ends of the two-sided interval stand in for one-sided bounds that are not there: they are wider.
+    fn counted(&self) -> CountedRate {
+        CountedRate::new(self.entries, self.hours, self.resampled.or(self.bound))
     }
 }
 
 /// Counts the entries of drives at thresholds `factor` times as far from their medians as those of the scores.
 pub fn rate(nominal: Look, drives: &[DriveScores], wanted: f64, factor: f64) -> FalseAlarmRate {
-    let hours: f64 = drives.iter().map(DriveScores::hours).sum();
-    let entries: u64 = drives.iter().map(|drive| drive.entries(factor)).sum();
-    let bound = interval(drives, factor, hours);
+    let of = |drive: &DriveScores| (drive.entries(factor), drive.hours());
+    let judged: Vec<(u64, f64)> = drives.iter().map(of).filter(|of| of.1 > 0.0).collect();
+    let entries: u64 = judged.iter().map(|of| of.0).sum();
+    let hours: f64 = judged.iter().map(|of| of.1).sum();
+    let independent = poisson_interval(entries, hours);
+    let resampled = bootstrap::rates(&judged);
+    let bound = bootstrap::percentile_interval(resampled.clone())
+        .map(|(low, high)| (low.min(independent.0), high.max(independent.1)));
     // Counts of entries are small.
     #[allow(clippy::cast_precision_loss)]
-    let measured = entries as f64 / hours.max(f64::MIN_POSITIVE);
+    let measured = (hours > 0.0).then(|| entries as f64 / hours);
     FalseAlarmRate {
         nominal: nominal.name().to_owned(),
         wanted,
         measured,
         bound,
+        resampled: bootstrap::one_sided_bounds(resampled),
         entries,
-        drives: drives.len() as u64,
+        drives: judged.len() as u64,
         hours,
-        kept: bound.0 <= wanted && wanted <= bound.1,
-        demonstrated: wanted * hours >= DEMONSTRATED,
     }
 }
 
 #[cfg(test)]
 mod tests {
+    #![allow(clippy::unwrap_used)]
     use std::time::Duration;
 
     use super::*;
+    use crate::alarm::Reason;
 
     /// Drives of a minute, each with so many entries of 3 s, 10 s apart.
     fn drives(entries: &[u64]) -> Vec<DriveScores> {
@@ -119,8 +127,65 @@ mod tests {
         let together = rate(Look::Sim, &drives(&[5, 0, 0, 0, 0].repeat(12)), 60.0, 1.0);
         assert_eq!((single.entries, together.entries), (60, 60));
         let exact = poisson_interval(60, single.hours);
-        assert_eq!(single.bound, exact);
-        assert!(together.bound.0 < 0.9 * exact.0 && together.bound.1 > 1.1 * exact.1);
-        assert!(single.kept && together.kept);
+        assert_eq!(single.bound, Some(exact));
+        let bound = together.bound.unwrap();
+        assert!(bound.0 < 0.9 * exact.0 && bound.1 > 1.1 * exact.1);
+        // Alone they show that the rate is above 48 or below 74 an hour; together they do not.
+        let at = |of: &FalseAlarmRate, wanted| {
+            FalseAlarmRate {
+                wanted,
+                ..of.clone()
+            }
+            .loudness()
+        };
+        assert_eq!(at(&single, 47.0), Loudness::Louder);
+        assert_eq!(at(&single, 75.0), Loudness::NotLouder);
+        for wanted in [47.0, 75.0] {
+            assert!(
+                matches!(at(&together, wanted), Loudness::NotShown { .. }),
+                "{together:?}"
+            );
+        }
+        assert_eq!(at(&together, 20.0), Loudness::Louder);
+    }
+
+    #[test]
+    fn drives_that_cannot_be_judged_count_no_hours() {
+        let mut blind = DriveScores::default();
+        for i in 0..7_200_u64 {
+            blind.add_unjudged(Duration::from_millis(500 * i), Reason::Undefined);
+        }
+        let found = rate(Look::Sim, &[blind.clone(), blind.clone()], 1.0, 1.0);
+        assert_eq!((found.drives, found.measured, found.bound), (0, None, None));
+        let missing = found.missing().unwrap();
+        assert_eq!(missing, "3.0 hours without an entry");
+        let mut some = drives(&[1; 6]);
+        some.push(blind);
+        let found = rate(Look::Sim, &some, 1.0, 1.0);
+        assert!((found.hours - 0.1).abs() < 1e-9, "{found:?}");
+        assert_eq!(found.drives, 6);
+    }
+
+    #[test]
+    fn a_rate_within_the_interval_is_not_shown_whatever_an_older_file_called_it() {
+        let row = |wanted: f64, entries: u64, bound: (f64, f64)| {
+            let row = serde_json::json!({
+                "nominal": "game", "wanted": wanted, "measured": 0.1, "bound": bound, "entries": entries,
+                "drives": 144, "hours": 12.0, "kept": true, "demonstrated": true,
+            });
+            serde_json::from_value::<FalseAlarmRate>(row).unwrap()
+        };
+        let quiet = row(10.0, 64, (1.83, 9.99));
+        assert_eq!(
+            (quiet.loudness(), quiet.missing()),
+            (Loudness::NotLouder, None)
+        );
+        let near = row(1.0, 32, (0.17, 6.08));
+        let missing = near.missing().unwrap();
+        assert_eq!(
+            (near.loudness().name(), missing.as_str()),
+            ("not shown", "about 61.0 hours more without an entry")
+        );
+        assert_eq!(row(0.1, 32, (0.17, 6.08)).loudness(), Loudness::Louder);
     }
 }

@@ -549,8 +549,8 @@ pub(super) mod tests {
     #![allow(clippy::unwrap_used, clippy::cast_precision_loss)]
     use std::time::Duration;
 
-    use super::super::resampling::SplitMix64;
     use super::*;
+    use crate::bootstrap::SplitMix64;
     use crate::energies::BlockMeans;
     use crate::survey::SurveyFrame;
 

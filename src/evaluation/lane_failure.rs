@@ -9,14 +9,16 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::domain_detection::WITHIN_S;
-use super::resampling::{ROUNDS, SplitMix64, binomial_interval, percentile_interval};
+use super::resampling::binomial_interval;
 use crate::alarm::AlarmState;
+use crate::bootstrap::{ROUNDS, SplitMix64, percentile_interval};
 use crate::calibration::{
     Calibrated, CalibrationError, Domain, DriveScores, LabelledMeans, Wanted, calibrate,
-    drive_scores, is_judging, poisson_interval,
+    drive_scores, is_judging,
 };
 use crate::encoder::{Encoder, EncoderError};
 use crate::energies::BlockMeans;
+use crate::event_rate::poisson_interval;
 use crate::gap::Metric;
 use crate::labelled::{LabelledSurvey, loss, training_frames};
 use crate::lane::Overlap;

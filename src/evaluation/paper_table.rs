@@ -9,8 +9,8 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::field_sets::Recordings;
-use super::resampling::{ROUNDS, SplitMix64, percentile_interval};
 use crate::attention::EnergyMap;
+use crate::bootstrap::{ROUNDS, SplitMix64, percentile_interval};
 use crate::calibration::{PaperBinning, TapHistogram, counts_of, median};
 use crate::gap::moments::{self, EnergyNorm, Moments, energy_levels};
 use crate::gap::{Divergence, Metric};

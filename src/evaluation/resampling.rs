@@ -1,25 +1,16 @@
 //! Intervals by resampling whole scenes.
 
+use crate::bootstrap::{ROUNDS, SplitMix64, percentile_interval};
 use crate::lane::Overlap;
-
-/// Resamples drawn for an interval: the ends of a 95 % interval then rest on 25 each.
-pub const ROUNDS: usize = 1_000;
 
 /// 95 % percentile interval of the pooled intersection over union, from resampling scenes with replacement; the same for
 /// the same scenes on every machine. `None` when no resample holds any lane.
 pub fn interval(scenes: &[Overlap]) -> Option<(f64, f64)> {
-    let mut dice = SplitMix64(0);
+    let mut dice = SplitMix64::new(0);
     let ious = (0..ROUNDS)
         .filter_map(|_| Overlap::iou((0..scenes.len()).map(|_| scenes[dice.below(scenes.len())])))
         .collect();
     percentile_interval(ious)
-}
-
-/// 95 % percentile interval of what resamples gave; `None` of none.
-pub fn percentile_interval(mut values: Vec<f64>) -> Option<(f64, f64)> {
-    values.sort_by(f64::total_cmp);
-    let (low, high) = (values.len() * 25 / 1_000, values.len() * 975 / 1_000);
-    Some((*values.get(low)?, *values.get(high.saturating_sub(1))?))
 }
 
 /// Standard normal deviate that 2.5 % lie above.
@@ -39,47 +30,6 @@ pub fn binomial_interval(found: u64, all: u64) -> (f64, f64) {
         ((middle - half) / scale).max(0.0),
         ((middle + half) / scale).min(1.0),
     )
-}
-
-/// Random numbers after Steele, Lea and Flood, *Fast Splittable Pseudorandom Number Generators* (2014).
-pub struct SplitMix64(u64);
-
-impl SplitMix64 {
-    /// Numbers of a seed.
-    pub fn new(seed: u64) -> Self {
-        Self(seed)
-    }
-
-    /// Uniform from 0 to 255.
-    pub fn byte(&mut self) -> u8 {
-        self.next().to_be_bytes()[0]
-    }
-
-    /// How often each of `count` things comes when as many are drawn with replacement.
-    pub fn multiplicities(&mut self, count: usize) -> Vec<u32> {
-        let mut times = vec![0; count];
-        for _ in 0..count {
-            times[self.below(count)] += 1;
-        }
-        times
-    }
-
-    fn next(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-        z ^ (z >> 31)
-    }
-
-    /// Uniform from 0 to below `limit`.
-    pub fn below(&mut self, limit: usize) -> usize {
-        // The high half of a 64 by 64 bit product is below `limit`.
-        #[allow(clippy::cast_possible_truncation)]
-        {
-            ((u128::from(self.next()) * limit as u128) >> 64) as usize
-        }
-    }
 }
 
 #[cfg(test)]

@@ -5,7 +5,8 @@
 //! at all, however few they are; therefore an interval is never narrower than the score interval for as many independent
 //! values as there are blocks.
 
-use super::resampling::{ROUNDS, SplitMix64, Z, binomial_interval, percentile_interval};
+use super::resampling::{Z, binomial_interval};
+use crate::bootstrap::{ROUNDS, SplitMix64, percentile_interval};
 
 /// Share of nominal windows that may be above the threshold.
 pub const FALSE_POSITIVES: f64 = 0.05;

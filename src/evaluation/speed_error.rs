@@ -12,9 +12,9 @@ use super::lane_failure::{
 use super::resampling::binomial_interval;
 use crate::calibration::{
     Domain, DriveScores, LabelledMeans, Wanted, calibrate, drive_scores, is_judging,
-    poisson_interval,
 };
 use crate::encoder::Encoder;
+use crate::event_rate::poisson_interval;
 use crate::gap::Metric;
 use crate::labelled::LabelledSurvey;
 use crate::preprocess::Preprocessing;

@@ -1,13 +1,13 @@
 //! Events read again. Nothing in them is trusted: names stay inside their folder and files have a size.
 
-use std::fs::{self, File};
+use std::fs::File;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
 use super::Moment;
-use super::folder::number;
+use super::folder::Content;
 
 /// The file of an event that says what the others are.
 pub const EVENT_FILE: &str = "event.json";
@@ -32,7 +32,7 @@ pub struct ReadError {
     wanted: &'static str,
 }
 
-/// The events of a folder with their folders, oldest first.
+/// The events of a folder with their folders, oldest first; what is no event is passed over.
 ///
 /// # Errors
 /// When the folder or an event cannot be read.
@@ -43,15 +43,9 @@ pub fn read(folder: &Path) -> Result<Vec<(PathBuf, Event)>, ReadError> {
         found,
         wanted,
     };
-    let entries = fs::read_dir(folder).map_err(|error| refused(folder, error.to_string()))?;
-    let mut folders: Vec<(u64, PathBuf)> = entries
-        .filter_map(|entry| {
-            let entry = entry.ok()?;
-            Some((number(&entry.file_name().to_string_lossy())?, entry.path()))
-        })
-        .collect();
-    folders.sort();
-    let events = folders.into_iter().map(|(_, folder)| {
+    let content = Content::of(folder).map_err(|error| refused(folder, error.to_string()))?;
+    let events = content.events.into_iter().map(|event| {
+        let folder = folder.join(event.name());
         let path = folder.join(EVENT_FILE);
         let event: Event = bytes(&path)
             .and_then(|bytes| Ok(serde_json::from_slice(&bytes)?))

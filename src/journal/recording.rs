@@ -21,7 +21,7 @@ use serde_json::Value;
 
 use super::{About, JournalError, Line};
 use crate::frame::{Frame, jpeg};
-use crate::pipeline::Verdict;
+use crate::judge::Verdict;
 use crate::whole_file::WholeFile;
 
 /// The journal's line as a schema; the taps are added to its objects.
@@ -148,7 +148,7 @@ impl RecordingJournal {
     /// # Errors
     /// When the disk does not take it.
     pub fn add(&mut self, verdict: &Verdict, latency: Duration) -> Result<(), JournalError> {
-        let line = Line::new(&self.taps, verdict, latency, None);
+        let line = Line::new(&self.taps, verdict.at, verdict, latency);
         let message = serde_json::to_value(line)
             .map(|line| without_nulls(line).to_string())
             .map_err(|error| self.failed(error.into()))?;

@@ -162,8 +162,17 @@ fn header(report: &Report, name: &str, out: &mut String) -> fmt::Result {
         badge(state, false),
         Text(name)
     )?;
-    if let Some(about) = report.about.as_ref().filter(|a| !a.source.is_empty()) {
-        write!(out, " · {}", Text(&about.source))?;
+    if !report.about.source.is_empty() {
+        write!(out, " · {}", Text(&report.about.source))?;
+    }
+    if !report.began.utc.is_empty() {
+        write!(out, " · began {}", Text(&report.began.utc))?;
+        if !report.began.is_set {
+            out.write_str(" by a clock that was not set")?;
+        }
+    }
+    if report.breaks_off {
+        out.write_str(" · the run was ended while it wrote its last line, which is left out")?;
     }
     writeln!(out, "</p></header>")
 }
@@ -500,9 +509,10 @@ fn judged(report: &Report, out: &mut String) -> fmt::Result {
 }
 
 fn calibration(report: &Report, out: &mut String) -> fmt::Result {
-    let Some(about) = report.about.as_ref().filter(|a| !a.reference.is_empty()) else {
+    let about = &report.about;
+    if about.reference.is_empty() {
         return Ok(());
-    };
+    }
     out.write_str("<section><h2>Calibration</h2><dl>")?;
     let window = format!("{} s", about.window_s);
     let strict = if about.strict {

@@ -14,13 +14,14 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use sha2::{Digest, Sha256};
-use tempfile::TempDir;
 
 use super::{Keep, Survey};
 use crate::attention::common_size;
 use crate::calibration::{Drive, LabelledDrive, LabelledMeans};
+use crate::durable::create_folders;
 use crate::energies::BlockMeans;
 use crate::reference::ModelFingerprint;
+use crate::temporary_folder::TemporaryFolder;
 use crate::whole_file::WholeFile;
 
 const MAGIC: &[u8; 16] = b"gapwatch-survey\n";
@@ -33,7 +34,7 @@ pub struct SurveyStore {
     /// The first is written to, all are read from.
     folders: Vec<PathBuf>,
     /// The first, when it goes with the program.
-    _temporary: Option<TempDir>,
+    _temporary: Option<TemporaryFolder>,
     model: ModelFingerprint,
 }
 
@@ -112,7 +113,7 @@ impl SurveyStore {
     /// # Errors
     /// When there can be no such folder.
     pub fn open(folder: &Path, model: &ModelFingerprint) -> Result<Self, StoreError> {
-        fs::create_dir_all(folder).map_err(|error| StoreError::File {
+        create_folders(folder).map_err(|error| StoreError::File {
             path: folder.to_owned(),
             error,
         })?;
@@ -123,8 +124,8 @@ impl SurveyStore {
         })
     }
 
-    /// Surveys in a folder that is removed when the program ends: in `$TMPDIR`, else in `/var/tmp`, which is not memory
-    /// where `/tmp` is.
+    /// Surveys in a folder that is removed when the program ends, or by the next one when it was killed: in `$TMPDIR`, else in
+    /// `/var/tmp`, which is not memory where `/tmp` is.
     ///
     /// # Errors
     /// When there can be no such folder.
@@ -134,9 +135,7 @@ impl SurveyStore {
             None if disk.is_dir() => disk.to_owned(),
             _ => std::env::temp_dir(),
         };
-        let folder = tempfile::Builder::new()
-            .prefix("gapwatch-surveys-")
-            .tempdir_in(&place)
+        let folder = TemporaryFolder::create(&place, "gapwatch-surveys-", 0o700)
             .map_err(|error| StoreError::File { path: place, error })?;
         Ok(Self {
             folders: vec![folder.path().to_owned()],

@@ -324,7 +324,9 @@ fn journals() -> Target {
             n / 10
         )
     };
-    let seed = line(0, "Init", "null") + &line(1, "Ok", "0.5") + &line(2, "Gap", "7.25");
+    let first = "{\"gapwatch_journal\":2,\"began\":{\"utc\":\"\",\"is_set\":true,\"monotonic_s\":7.5},\"about\":{\"source\":\"s\"}}\n";
+    let lines = line(0, "Init", "null") + &line(1, "Ok", "0.5") + &line(2, "Gap", "7.25");
+    let seed = first.to_owned() + &lines;
     file("drive.jsonl", vec![seed.into_bytes()], |path| {
         journal::read(path).is_ok()
     })

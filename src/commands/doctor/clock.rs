@@ -1,14 +1,14 @@
 //! What time is taken from.
 
 use std::fs;
-use std::time::{SystemTime, UNIX_EPOCH};
+use std::time::SystemTime;
+
+use gapwatch::clock;
 
 use super::Check;
 
 /// Where Linux says what its clocks count.
 const SOURCE: &str = "/sys/devices/system/clocksource/clocksource0/current_clocksource";
-/// The year 2025, in seconds: a clock before it was never set.
-const NEVER_SET_BEFORE: u64 = 1_735_689_600;
 
 pub fn check() -> Check {
     let source = fs::read_to_string(SOURCE);
@@ -20,9 +20,7 @@ pub fn check() -> Check {
             "enable the processor's own timer in the device tree or kernel",
         );
     }
-    let now = SystemTime::now().duration_since(UNIX_EPOCH);
-    let is_set = now.is_ok_and(|now| now.as_secs() >= NEVER_SET_BEFORE);
-    let wall = if is_set {
+    let wall = if clock::is_set(SystemTime::now()) {
         "the time of day is set"
     } else {
         "the time of day is not set, which shows in log lines and in the age of evidence from earlier runs"

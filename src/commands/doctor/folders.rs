@@ -2,11 +2,15 @@
 
 use std::path::Path;
 
+use gapwatch::evidence::{Found, examine};
+
 use super::Check;
 
 /// The only folder that the service may write, made when it starts; and where its boards are.
 const OF_SERVICE: &str = "/var/lib/gapwatch";
 const BOARDS_OF_SERVICE: &str = "/etc/gapwatch";
+/// Names that are said of what is no event.
+const NAMED_MAX: usize = 5;
 
 /// `place` is the journal's file or the folder of evidence; where it is not there yet, the folder above must be. Of a `board` of
 /// the service it is the service that writes.
@@ -42,8 +46,17 @@ pub fn check(what: &'static str, place: Option<&Path>, board: &Path) -> Check {
         let found = format!("{} is a folder", place.display());
         return Check::fail(what, found, "name a file");
     }
-    match tempfile::tempfile_in(folder) {
-        Ok(_) => Check::pass(what, format!("{} can be written", place.display())),
+    if what == "evidence" && place.exists() && !place.is_dir() {
+        let found = format!("{} is no folder", place.display());
+        return Check::fail(what, found, "name a folder");
+    }
+    let written = if what == "evidence" && place.is_dir() {
+        examine(place).map(|found| format!(", {}", in_words(&found)))
+    } else {
+        tempfile::tempfile_in(folder).map(|_| String::new())
+    };
+    match written {
+        Ok(found) => Check::pass(what, format!("{} can be written{found}", place.display())),
         Err(error) => Check::fail(
             what,
             format!("{}: {error}", folder.display()),
@@ -52,11 +65,38 @@ pub fn check(what: &'static str, place: Option<&Path>, board: &Path) -> Check {
     }
 }
 
+fn in_words(found: &Found) -> String {
+    let megabytes = f64::from(u32::try_from(found.bytes / 1_000).unwrap_or(u32::MAX)) / 1_000.0;
+    let mut words = format!("{} events of {megabytes:.1} MB in it", found.events);
+    if found.unfinished > 0 {
+        words += &format!(
+            ", {} unfinished, which the next start removes",
+            found.unfinished
+        );
+    }
+    if !found.others.is_empty() {
+        let mut names = found.others.clone();
+        names.truncate(NAMED_MAX);
+        let more = if found.others.len() > NAMED_MAX {
+            ", ..."
+        } else {
+            ""
+        };
+        words += &format!(
+            ", and {} that is no event, which is left alone: {}{more}",
+            found.others.len(),
+            names.join(", ")
+        );
+    }
+    words
+}
+
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::super::Outcome;
     use super::*;
+    use std::fs;
 
     #[test]
     fn a_board_of_the_service_is_judged_by_what_the_service_may_write() {
@@ -72,5 +112,34 @@ mod tests {
         assert!(result(here.path(), service) == Outcome::Fail);
         assert!(result(here.path(), "car.toml") == Outcome::Pass);
         assert!(result(&here.path().join("no/such"), "car.toml") == Outcome::Fail);
+    }
+    #[test]
+    fn what_lies_in_the_folder_is_said_and_left() {
+        let here = tempfile::tempdir().unwrap();
+        let evidence = || check("evidence", Some(here.path()), Path::new("car.toml"));
+        assert!(
+            evidence().found.contains("0 events"),
+            "{}",
+            evidence().found
+        );
+        fs::create_dir_all(here.path().join("000007")).unwrap();
+        fs::write(here.path().join("000007/event.json"), vec![b' '; 1_500_000]).unwrap();
+        fs::create_dir(here.path().join(".unfinished-000008")).unwrap();
+        fs::write(here.path().join("000123"), "").unwrap();
+        let Check { result, found, .. } = evidence();
+        assert!(result == Outcome::Pass);
+        for part in ["1 events of 1.5 MB", "1 unfinished", "alone: 000123"] {
+            assert!(found.contains(part), "{found}");
+        }
+        assert!(here.path().join(".unfinished-000008").exists());
+        // As the recorder would: not where another one writes, and not into a file.
+        let quota = gapwatch::evidence::Quota::default();
+        let recorder = gapwatch::evidence::Recorder::start(here.path(), quota, &[]).unwrap();
+        assert!(evidence().result == Outcome::Fail);
+        recorder.finish();
+        assert!(evidence().result == Outcome::Pass);
+        let file = here.path().join("000123");
+        let of_file = check("evidence", Some(&file), Path::new("car.toml"));
+        assert!(of_file.result == Outcome::Fail);
     }
 }

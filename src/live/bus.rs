@@ -1,16 +1,16 @@
-//! The CAN side of `replay` and `monitor`: verdicts into the messages of the bus.
+//! The CAN side of a run: verdicts into the messages of the bus.
 
 use std::time::Duration;
 
-use gapwatch::can::detail::{DetailSender, GapDetail};
-use gapwatch::can::message::{GapHealth, GapStatus};
-use gapwatch::can::receiver::{Heard, Receiver};
-use gapwatch::can::sender::StatusSender;
-use gapwatch::can::{CanSettings, Sink, SinkError, WarningSink};
-use gapwatch::detector::BlockScore;
-use gapwatch::health::Health;
-use gapwatch::pipeline::Verdict;
-use gapwatch::reference::Reference;
+use crate::can::detail::{DetailSender, GapDetail};
+use crate::can::message::{GapHealth, GapStatus};
+use crate::can::receiver::{Heard, Receiver};
+use crate::can::sender::StatusSender;
+use crate::can::{CanSettings, CanSettingsError, SinkError, WarningSink};
+use crate::detector::BlockScore;
+use crate::health::Health;
+use crate::judge::Verdict;
+use crate::reference::Reference;
 
 /// Shortest time between two lines of the program's log about the same trouble.
 pub const COMPLAINT: Duration = Duration::from_secs(1);
@@ -34,11 +34,17 @@ pub struct Bus {
 }
 
 impl Bus {
-    /// Opens the sink.
-    pub fn new(sink: &Sink, settings: CanSettings, reference: &Reference) -> anyhow::Result<Self> {
-        settings.check()?;
+    /// For a replay.
+    ///
+    /// # Errors
+    /// When the settings cannot be kept.
+    pub fn new(
+        sink: Box<dyn WarningSink>,
+        settings: CanSettings,
+        reference: &Reference,
+    ) -> Result<Self, CanSettingsError> {
         Ok(Self {
-            sink: sink.open(&settings)?,
+            sink,
             details: DetailSender::new(&settings),
             detail: GapDetail::default(),
             receiver: Receiver::new(&settings),
@@ -53,14 +59,25 @@ impl Bus {
         })
     }
 
+    /// For a live run: see [`StatusSender::live`].
+    pub fn live(self) -> Self {
+        Self {
+            sender: self.sender.live(),
+            ..self
+        }
+    }
+
     /// Sends what a verdict changes and what fell due up to `now`, when its frame is `latency` old. In a replay time stands
     /// still while a frame is judged.
+    ///
+    /// # Errors
+    /// As [`poll`](Self::poll).
     pub fn tell(
         &mut self,
         now: Duration,
         verdict: &Verdict,
         latency: Duration,
-    ) -> anyhow::Result<()> {
+    ) -> Result<(), SinkError> {
         if verdict.sequence.is_some() {
             self.health
                 .note(verdict.at, latency, verdict.score.is_some());
@@ -116,13 +133,11 @@ impl Bus {
         self.sender.update_health(now, &health);
     }
 
-    /// On a live bus, before anything is told: gives up what fell due while this program was not running.
-    pub fn skip_missed(&mut self, now: Duration) {
-        self.sender.skip_missed(now);
-    }
-
-    /// Sends what fell due up to `now`. A bus that takes nothing is no end: the sender keeps and counts what waits.
-    pub fn poll(&mut self, now: Duration) -> anyhow::Result<()> {
+    /// Sends what fell due up to `now`. A bus that takes nothing is no end: the newest waits for it.
+    ///
+    /// # Errors
+    /// When the log in the place of a bus does not take a frame.
+    pub fn poll(&mut self, now: Duration) -> Result<(), SinkError> {
         let sink = self.sink.as_mut();
         let mut polled = self.sender.poll(now, sink);
         if let (Ok(()), Some(details)) = (&polled, &mut self.details) {
@@ -139,8 +154,13 @@ impl Bus {
                 }
                 Ok(())
             }
-            other => Ok(other?),
+            other => other,
         }
+    }
+
+    /// Whether something waits for the bus.
+    pub fn is_waiting(&self) -> bool {
+        self.sender.is_waiting()
     }
 
     /// What was heard on the bus and concerns us.
@@ -154,7 +174,10 @@ impl Bus {
     }
 
     /// Completes a log.
-    pub fn finish(self) -> anyhow::Result<()> {
-        Ok(self.sink.finish()?)
+    ///
+    /// # Errors
+    /// When the disk does not take it.
+    pub fn finish(self) -> Result<(), SinkError> {
+        self.sink.finish()
     }
 }

@@ -1,0 +1,121 @@
+//! Verdicts over time → how much time each one stands for.
+//!
+//! Owns what a hole is. A verdict stands for the time since the one before it, unless nothing was seen for so long that
+//! nobody knows what was in between: then it stands for no time, and what was counted before says nothing about now.
+
+use std::time::Duration;
+
+/// Time without a verdict after which the state says that there is none.
+pub const STALE: Duration = Duration::from_millis(500);
+/// Frames that come as slowly as this still follow each other when they come steadily: two windows of the detector.
+pub const SLOWEST: Duration = Duration::from_secs(2);
+
+/// Tells steps in time from holes.
+#[derive(Clone, Debug)]
+pub struct Continuity {
+    patience: Duration,
+    last: Option<Duration>,
+    /// Time between the last two verdicts.
+    pause: Option<Duration>,
+}
+
+impl Default for Continuity {
+    fn default() -> Self {
+        Self::with_frames_every(Duration::ZERO)
+    }
+}
+
+impl Continuity {
+    /// For frames that may come as slowly as one every `period`: a hole is longer than half as much again, and than 500 ms.
+    pub fn with_frames_every(period: Duration) -> Self {
+        Self {
+            patience: STALE.max(period * 3 / 2),
+            last: None,
+            pause: None,
+        }
+    }
+
+    /// How long there may be no verdict.
+    pub fn patience(&self) -> Duration {
+        self.patience
+    }
+
+    /// Takes a verdict at `now`, and gives the time since the one before; `None` of the first one, and behind a hole. Slow
+    /// frames that come steadily follow each other: each pause may be half as long again as the one before it, and
+    /// [`SLOWEST`] at most.
+    pub fn step(&mut self, now: Duration) -> Option<Duration> {
+        let since = now.saturating_sub(self.last.replace(now)?);
+        let before = self.pause.replace(since);
+        let steady = before.is_some_and(|before| since <= before * 3 / 2) && since <= SLOWEST;
+        if since <= self.patience || steady {
+            return Some(since);
+        }
+        self.pause = (since <= SLOWEST).then_some(since);
+        None
+    }
+
+    /// Nothing can be seen: the next verdict stands behind a hole.
+    pub fn interrupt(&mut self) {
+        (self.last, self.pause) = (None, None);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// What each of these times in ms stands for.
+    fn steps(continuity: &mut Continuity, times: &[u64]) -> Vec<Option<u128>> {
+        let step = |&ms| continuity.step(Duration::from_millis(ms));
+        let since = times.iter().map(step);
+        since
+            .map(|since| since.map(|since| since.as_millis()))
+            .collect()
+    }
+
+    #[test]
+    fn up_to_the_patience_time_counts_and_beyond_it_is_a_hole() {
+        let mut continuity = Continuity::default();
+        assert_eq!(
+            steps(&mut continuity, &[0, 100, 600, 1_301, 1_401]),
+            [None, Some(100), Some(500), Some(701), Some(100)],
+            "701 ms are half as long again as 500 ms at most"
+        );
+        let mut continuity = Continuity::default();
+        assert_eq!(
+            steps(&mut continuity, &[0, 100, 601, 701]),
+            [None, Some(100), None, Some(100)]
+        );
+        let mut slow = Continuity::with_frames_every(Duration::from_secs(2));
+        assert_eq!(slow.patience(), Duration::from_secs(3));
+        assert_eq!(
+            steps(&mut slow, &[0, 3_000, 6_001]),
+            [None, Some(3_000), None]
+        );
+    }
+
+    #[test]
+    fn steady_slow_frames_follow_each_other_from_the_second_pause_on() {
+        let mut continuity = Continuity::default();
+        assert_eq!(
+            steps(&mut continuity, &[0, 1_000, 2_000, 3_500, 5_500, 7_501]),
+            [None, None, Some(1_000), Some(1_500), Some(2_000), None]
+        );
+        // After a hole of more than 2 s it begins anew.
+        assert_eq!(
+            steps(&mut continuity, &[607_501, 608_501, 609_501]),
+            [None, None, Some(1_000)]
+        );
+    }
+
+    #[test]
+    fn after_an_interruption_it_begins_anew() {
+        let mut continuity = Continuity::default();
+        steps(&mut continuity, &[0, 100]);
+        continuity.interrupt();
+        assert_eq!(
+            steps(&mut continuity, &[200, 900, 1_600]),
+            [None, None, Some(700)]
+        );
+    }
+}

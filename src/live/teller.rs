@@ -1,0 +1,321 @@
+//! The teller's side of the live loop: what bus, files, people and the service manager hear, and when.
+//!
+//! Owns the last word: whatever the judge does, the bus hears within half a second that there is no verdict, and never an old
+//! one. Owns what is heard on the bus too: whether the car is parked, and requests to clear the stored bit.
+
+use std::error::Error;
+use std::time::Duration;
+
+use super::bus::COMPLAINT;
+use super::outputs::{OutputError, Outputs};
+use super::service::{Service, ServiceWords};
+use super::{JUDGE_WAITS, Orders, Word};
+use crate::alarm::{AlarmState, Reason};
+use crate::can::SinkError;
+use crate::can::receiver::Heard;
+use crate::can::speed::Parking;
+use crate::continuity::STALE;
+use crate::judge::Verdict;
+use crate::undefined::Undefined;
+
+/// A verdict on a frame this old comes too late to warn of anything: as long as without any verdict.
+const LATE: Duration = STALE;
+
+/// Tells everybody what is known.
+pub struct Teller {
+    outputs: Outputs,
+    service: Service,
+    has_begun: bool,
+    last: Verdict,
+    /// When the judge last said something, or nobody looked.
+    heard_at: Duration,
+    /// Without a word of the judge for this long there is no verdict.
+    silent: Duration,
+    parking: Parking,
+    parked: bool,
+    /// When the program's log last had a line about what is heard on the bus, and about each output.
+    complained_at: [Option<Duration>; 2],
+}
+
+/// What people are told.
+#[derive(Clone, Copy, Debug)]
+pub struct Said<'a> {
+    /// The verdict.
+    pub verdict: &'a Verdict,
+    /// Age of its frame.
+    pub latency: Duration,
+    /// State or reason are others than before.
+    pub is_change: bool,
+}
+
+/// Hears what people are told.
+pub type Show<'a> = dyn FnMut(Said<'_>) + 'a;
+
+impl Teller {
+    /// For frames that may come as slowly as one every `period`, and a car that is parked when it has stood for
+    /// `parked_after`.
+    pub fn new(
+        outputs: Outputs,
+        period: Duration,
+        parked_after: Duration,
+        service: Service,
+    ) -> Self {
+        Self {
+            outputs,
+            service,
+            has_begun: false,
+            last: Verdict::nothing_yet(),
+            heard_at: Duration::ZERO,
+            silent: STALE.max(period * 3 / 2) + JUDGE_WAITS,
+            parking: Parking::new(parked_after),
+            parked: false,
+            complained_at: [None; 2],
+        }
+    }
+
+    /// The first word.
+    ///
+    /// # Errors
+    /// As [`tick`](Self::tick).
+    pub fn begin(&mut self, now: Duration, show: &mut Show<'_>) -> Result<(), OutputError> {
+        self.heard_at = now;
+        let nothing = Verdict {
+            at: now,
+            ..Verdict::nothing_yet()
+        };
+        self.tell(now, &nothing, Duration::ZERO, show)
+    }
+
+    /// Looks after the bus at `now`, with what the judge has said since the last time: hears, tells what is new, and keeps the
+    /// cycle. Gives the orders to the judge.
+    ///
+    /// # Errors
+    /// When nobody reads the stream in the place of a bus any more. Any other trouble of an output is logged, and is no other's.
+    pub fn tick(
+        &mut self,
+        now: Duration,
+        words: impl IntoIterator<Item = Word>,
+        show: &mut Show<'_>,
+    ) -> Result<Orders, OutputError> {
+        for word in words {
+            self.hear_judge(now, word, show)?;
+        }
+        let clear = self.hear_bus(now);
+        let was_parked = std::mem::replace(&mut self.parked, self.parking.is_parked(now));
+        if self.parked || was_parked {
+            self.heard_at = now;
+        }
+        if self.parked && self.last.reason != Reason::Parked {
+            let parked = self.without_frame(now, Reason::Parked, None);
+            self.tell(now, &parked, Duration::ZERO, show)?;
+        }
+        if now.saturating_sub(self.heard_at) > self.silent && self.is_silence_news() {
+            let silent = self.without_frame(now, Reason::Stale, Some(Undefined::Silence));
+            self.tell(now, &silent, Duration::ZERO, show)?;
+        }
+        self.outputs.bus.tell_health(now);
+        let polled = self.outputs.bus.poll(now);
+        self.survive(now, polled.err().map(OutputError::from))?;
+        Ok(Orders {
+            parked: self.parked,
+            clear,
+        })
+    }
+
+    /// What the service manager is to hear at `now`, when the judge has looked for a frame so many times.
+    pub fn service(&mut self, now: Duration, rounds: u64) -> ServiceWords {
+        let judged_or_fault = self.last.score.is_some() || self.last.is_unjudged();
+        self.service.due(now, judged_or_fault, rounds)
+    }
+
+    /// Whether something waits for the bus.
+    pub fn is_waiting(&self) -> bool {
+        self.outputs.bus.is_waiting()
+    }
+
+    /// Says that the monitor stops.
+    ///
+    /// # Errors
+    /// As [`tick`](Self::tick).
+    pub fn stop(&mut self, now: Duration, show: &mut Show<'_>) -> Result<(), OutputError> {
+        let stopped = self.without_frame(now, Reason::Stopped, None);
+        self.tell(now, &stopped, Duration::ZERO, show)
+    }
+
+    /// Offers the last word to the bus again.
+    pub fn offer(&mut self, now: Duration) {
+        let polled = self.outputs.bus.poll(now);
+        // Nobody is left to be told.
+        let _ = self.survive(now, polled.err().map(OutputError::from));
+    }
+
+    /// Ends all outputs; gives what could not be ended.
+    pub fn finish(self) -> Vec<OutputError> {
+        self.outputs.finish()
+    }
+
+    fn hear_judge(
+        &mut self,
+        now: Duration,
+        word: Word,
+        show: &mut Show<'_>,
+    ) -> Result<(), OutputError> {
+        match word {
+            Word::Verdict { verdict, dropped } => {
+                self.outputs.bus.dropped_frames = dropped;
+                if self.parked {
+                    // Of a frame from before the car was parked: what it stored stays.
+                    return self.tell_stored(now, verdict.gap_stored, show);
+                }
+                let is_silence = verdict.sequence.is_none();
+                if is_silence && !self.is_silence_news() {
+                    return Ok(());
+                }
+                let latency = now.saturating_sub(verdict.at);
+                self.heard_at = now;
+                let verdict = in_time(verdict, latency);
+                self.tell(now, &verdict, latency, show)
+            }
+            Word::Cleared(true) if self.last.is_unjudged() => self.tell_stored(now, false, show),
+            Word::Cleared(true) => {
+                // The next verdict says so, or the silence.
+                self.last.gap_stored = false;
+                Ok(())
+            }
+            Word::Cleared(false) => {
+                log::warn!("GapClear is refused while the road is, or was when last seen, a Gap");
+                Ok(())
+            }
+        }
+    }
+
+    /// No frame tells the bus of the stored bit while nobody looks, or nothing can be judged.
+    fn tell_stored(
+        &mut self,
+        now: Duration,
+        gap_stored: bool,
+        show: &mut Show<'_>,
+    ) -> Result<(), OutputError> {
+        if self.last.gap_stored == gap_stored {
+            return Ok(());
+        }
+        let verdict = Verdict {
+            at: now,
+            sequence: None,
+            gap_stored,
+            ..self.last.clone()
+        };
+        self.tell(now, &verdict, Duration::ZERO, show)
+    }
+
+    /// Hears what others say on the bus, and whether that asks to clear the stored bit.
+    fn hear_bus(&mut self, now: Duration) -> bool {
+        let mut clear = false;
+        while let Some(heard) = self.outputs.bus.hear() {
+            match heard {
+                Heard::Clear => clear = true,
+                Heard::Standing(standing) => self.parking.hear(now, standing),
+                Heard::Foreign(_) | Heard::Invalid => {
+                    if may_complain(&mut self.complained_at[0], now) {
+                        log::warn!("on the bus: {heard}");
+                    }
+                }
+            }
+        }
+        clear
+    }
+
+    /// Silence is no news after a fault, but it is after what was said of a car that stood and drives.
+    fn is_silence_news(&self) -> bool {
+        !self.last.is_unjudged() || (self.last.reason == Reason::Parked && !self.parked)
+    }
+
+    fn without_frame(&self, at: Duration, reason: Reason, why: Option<Undefined>) -> Verdict {
+        Verdict {
+            at,
+            state: AlarmState::Unavailable,
+            reason,
+            undefined: why,
+            fault_detection_counter: self.last.fault_detection_counter,
+            gap_stored: self.last.gap_stored,
+            ..Verdict::nothing_yet()
+        }
+    }
+
+    fn tell(
+        &mut self,
+        now: Duration,
+        verdict: &Verdict,
+        latency: Duration,
+        show: &mut Show<'_>,
+    ) -> Result<(), OutputError> {
+        let troubles = self.outputs.tell(now, verdict, latency);
+        let before = (self.last.state, self.last.reason);
+        let is_change = (verdict.state, verdict.reason) != before || !self.has_begun;
+        self.has_begun = true;
+        self.last = verdict.clone();
+        show(Said {
+            verdict,
+            latency,
+            is_change,
+        });
+        self.survive(now, troubles)
+    }
+
+    /// The trouble of one output is no other's, but when nobody reads a stream any more the run is over.
+    fn survive(
+        &mut self,
+        now: Duration,
+        troubles: impl IntoIterator<Item = OutputError>,
+    ) -> Result<(), OutputError> {
+        for trouble in troubles {
+            if let OutputError::Bus(SinkError::Write { source, .. }) = &trouble
+                && source.kind() == std::io::ErrorKind::BrokenPipe
+            {
+                return Err(trouble);
+            }
+            if may_complain(&mut self.complained_at[1], now) {
+                log::error!("{}", with_causes(&trouble));
+            }
+        }
+        Ok(())
+    }
+}
+
+/// An error and what caused it, in one line.
+fn with_causes(error: &dyn Error) -> String {
+    let mut line = error.to_string();
+    let mut cause = error.source();
+    while let Some(error) = cause {
+        line += &format!(": {error}");
+        cause = error.source();
+    }
+    line
+}
+
+/// At most one line a second.
+fn may_complain(complained_at: &mut Option<Duration>, now: Duration) -> bool {
+    let may = complained_at.is_none_or(|at| now >= at + COMPLAINT);
+    if may {
+        *complained_at = Some(now);
+    }
+    may
+}
+
+/// A verdict that comes too late is none.
+fn in_time(verdict: Verdict, latency: Duration) -> Verdict {
+    if latency < LATE || verdict.sequence.is_none() {
+        return verdict;
+    }
+    Verdict {
+        at: verdict.at,
+        sequence: verdict.sequence,
+        state: AlarmState::Unavailable,
+        reason: Reason::Lagging,
+        undefined: Some(Undefined::Late(latency)),
+        window_fill: verdict.window_fill,
+        fault_detection_counter: verdict.fault_detection_counter,
+        gap_stored: verdict.gap_stored,
+        ..Verdict::nothing_yet()
+    }
+}

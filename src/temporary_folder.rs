@@ -1,0 +1,115 @@
+//! Folders that go with the program, also when it is killed: the next program removes what a killed one has left.
+
+use std::fs::{self, File, TryLockError};
+use std::io;
+use std::os::unix::fs::PermissionsExt;
+use std::path::Path;
+use std::time::{Duration, SystemTime};
+
+use tempfile::TempDir;
+
+/// Random characters at the end of a name.
+const RANDOM: usize = 6;
+/// A folder younger than this may be of a program that has not locked it yet.
+const YOUNG: Duration = Duration::from_secs(60);
+
+/// A folder of a random name, removed when this is dropped.
+pub struct TemporaryFolder {
+    folder: TempDir,
+    /// The folder, locked as long as this program lives.
+    _lock: File,
+}
+
+impl TemporaryFolder {
+    /// Makes a folder in `parent` whose name begins with `prefix`; those of that name that killed programs have left go.
+    ///
+    /// # Errors
+    /// When there can be none.
+    pub fn create(parent: &Path, prefix: &str, mode: u32) -> io::Result<Self> {
+        remove_left(parent, prefix);
+        let folder = tempfile::Builder::new()
+            .prefix(prefix)
+            .rand_bytes(RANDOM)
+            .permissions(PermissionsExt::from_mode(mode))
+            .tempdir_in(parent)?;
+        let lock = File::open(folder.path())?;
+        // Where nothing can be locked nothing is found unlocked either, and what is left stays.
+        if let Err(TryLockError::Error(error)) = lock.try_lock_shared() {
+            log::debug!("{}: {error}", folder.path().display());
+        }
+        Ok(Self {
+            folder,
+            _lock: lock,
+        })
+    }
+
+    /// Where it is.
+    pub fn path(&self) -> &Path {
+        self.folder.path()
+    }
+}
+
+/// Best effort: what stays is looked at again by the next program.
+fn remove_left(parent: &Path, prefix: &str) {
+    let is_left = |entry: &fs::DirEntry| -> io::Result<bool> {
+        let name = entry.file_name();
+        let random = name.to_str().and_then(|name| name.strip_prefix(prefix));
+        let ours = random.is_some_and(|random| {
+            random.len() == RANDOM && random.bytes().all(|byte| byte.is_ascii_alphanumeric())
+        });
+        if !ours || !entry.file_type()?.is_dir() {
+            return Ok(false);
+        }
+        let age = SystemTime::now().duration_since(entry.metadata()?.modified()?);
+        Ok(age.is_ok_and(|age| age >= YOUNG) && File::open(entry.path())?.try_lock().is_ok())
+    };
+    for entry in fs::read_dir(parent).into_iter().flatten().flatten() {
+        if is_left(&entry).unwrap_or(false)
+            && let Err(error) = fs::remove_dir_all(entry.path())
+        {
+            log::debug!("{}: {error}", entry.path().display());
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    #[test]
+    fn what_a_killed_program_left_goes_and_nothing_else() {
+        let root = tempfile::tempdir().unwrap();
+        let at = |name: &str| root.path().join(name);
+        let age = |path: &Path| {
+            let old = SystemTime::now() - 2 * YOUNG;
+            File::open(path).unwrap().set_modified(old).unwrap();
+        };
+        let used = TemporaryFolder::create(root.path(), "work-", 0o700).unwrap();
+        fs::write(used.path().join("file"), "").unwrap();
+        age(used.path());
+        for (name, old) in [
+            ("work-aB3dE6", true),
+            ("work-young1", false),
+            ("work-mine", true),
+            ("other-aB3dE6", true),
+        ] {
+            fs::create_dir(at(name)).unwrap();
+            fs::write(at(name).join("file"), "").unwrap();
+            if old {
+                age(&at(name));
+            }
+        }
+        fs::write(at("work-file12"), "").unwrap();
+        age(&at("work-file12"));
+        let next = TemporaryFolder::create(root.path(), "work-", 0o700).unwrap();
+        assert!(!at("work-aB3dE6").exists());
+        for name in ["work-young1", "work-mine", "other-aB3dE6", "work-file12"] {
+            assert!(at(name).exists(), "{name}");
+        }
+        assert!(used.path().join("file").exists());
+        let places = [used.path().to_owned(), next.path().to_owned()];
+        drop((used, next));
+        assert!(places.iter().all(|place| !place.exists()));
+    }
+}
