@@ -86,6 +86,8 @@ echo "0 $((2 * disk_kib)) log-writes /dev/ram0 /dev/ram1" | dmsetup create disk 
 mkdir /disk /cut
 mount -t ext4 /dev/dm-0 /disk || exit 3
 mkdir /disk/unsynced /disk/calibrate /disk/replay /disk/report /disk/monitor
+# A journal of an earlier run; its line does not count.
+printf earlier >/disk/monitor/live.jsonl
 sync
 
 mark begin
@@ -98,6 +100,7 @@ replay() {
 calibrate() {
   gapwatch calibrate --model lane.onnx --sim nominal-*.mcap --surveys /disk/calibrate/own.surveys --out /disk/calibrate/own.json
 }
+written monitor true
 # The file that nobody syncs shows whether this finds anything.
 written unsynced cp reference.json /disk/unsynced/
 sleep 12
@@ -121,17 +124,19 @@ sleep 1
 power-cut /dev/ram1 >marks || exit 3
 moments "$wanted"
 
+mkdir live
 number=0
 while read -r at; do
   number=$((number + 1))
   # Every second time the disk's own cache is lost too.
   power-cut /dev/ram1 before after "$at" $((number % 2 * number))
   echo "cut $at"
-  if mount -t ext4 -o loop after /cut; then
-    listing /cut
-    umount /cut
-  else
-    echo "unmountable"
-  fi
+  mount -t ext4 -o loop after /cut || exit 4
+  listing /cut
+  for kind in jsonl log; do
+    file=/cut/monitor/live.$kind
+    [ ! -e $file ] || cp $file live/"$at".$kind
+  done
+  umount /cut
 done <moments >cuts.list
-cp marks moments live.* ./*.out ./*.err ./*.code ./*.list /share/
+cp -r marks moments live live.* ./*.out ./*.err ./*.code ./*.list /share/
