@@ -381,10 +381,13 @@ fn vm_a_power_cut_loses_nothing_reported_and_leaves_nothing_half() {
         writeln!(wrong, "{fault:?} {path} at {cuts:?}").unwrap();
     }
     let bad: BTreeSet<&u64> = by_kind.values().flatten().collect();
-    let kinds: BTreeMap<Fault, usize> = by_kind.iter().map(|(k, of)| (*k, of.len())).collect();
+    let kinds = by_kind
+        .iter()
+        .map(|(kind, cuts)| format!(", {kind:?} at {}", cuts.len()));
+    let kinds: String = kinds.collect();
     let said = format!(
         "Power cuts, seed {}: {} moments among {} entries of a disk's log, {} of them within {NEAR} entries of one of {} reports; something \
-         reported was lost, or something was half there, at {} of them {kinds:?}; a live file ended in NULs at {}, and a file that nobody \
+         reported was lost, or something was half there, at {} of them{kinds}; a live file ended in NULs at {}, and a file that nobody \
          synced was lost at {}.\n",
         seed.split(' ').next().unwrap(),
         cuts.len(),
