@@ -11,12 +11,13 @@
 )]
 
 mod clips;
+mod machine;
 mod program;
 
 use std::fmt::Write as _;
-use std::fs::{self, File};
+use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
+use std::process::Command;
 use std::time::Duration;
 
 use clips::{clip, lane_model, pictures, yuyv};
@@ -32,10 +33,10 @@ use gapwatch::judge::Verdict;
 use gapwatch::model::{ModelOptions, ModelSpec};
 use gapwatch::pipeline::Monitor;
 use gapwatch::reference::Reference;
+use machine::{report, stage_program};
 use program::gapwatch_in;
 
 const ROOT: &str = env!("CARGO_MANIFEST_DIR");
-const PROGRAM: &str = env!("CARGO_BIN_EXE_gapwatch");
 /// Fog of 60 m visibility between 5 and 9 s.
 const DRIVE: &str = "scene:sim?seed=7&seconds=14&fps=30&condition=fog:4@5-9";
 const NOMINAL: &str = "scene:sim?seed=8&seconds=1&fps=30";
@@ -47,46 +48,12 @@ const SAME: f64 = 1e-5;
 
 /// The folder that the machine shared, with what it left there.
 fn machine() -> PathBuf {
-    let root = Path::new(env!("CARGO_TARGET_TMPDIR")).join("vm");
-    fs::create_dir_all(&root).unwrap();
-    let lock = File::create(root.join("lock")).unwrap();
-    lock.lock().unwrap();
-    // The tests of one run may be processes of their own.
-    let run = std::env::var("NEXTEST_RUN_ID").unwrap_or_else(|_| std::process::id().to_string());
-    let share = root.join(&run);
-    if !share.exists() {
-        for old in fs::read_dir(&root).unwrap().map(|old| old.unwrap().path()) {
-            if old.is_dir() {
-                fs::remove_dir_all(old).unwrap();
-            }
-        }
-        fs::create_dir(&share).unwrap();
-        stage(&share);
-        let console = File::create(share.join("console.log")).unwrap();
-        let ended = Command::new(format!("{ROOT}/tests/vm/boot"))
-            .arg(&share)
-            .stdout(Stdio::from(console))
-            .status()
-            .unwrap();
-        fs::write(share.join("ended"), format!("{ended}")).unwrap();
-    }
-    let ended = fs::read_to_string(share.join("ended")).unwrap_or_default();
-    let console = share.join("console.log");
-    assert_eq!(ended, "exit status: 0", "see {}", console.display());
-    share
+    machine::machine("vm", stage)
 }
 
 /// Puts the program, its libraries, the lane model with a reference, boards and clips where the machine finds them.
 fn stage(share: &Path) {
-    fs::copy(PROGRAM, share.join("gapwatch")).unwrap();
-    fs::create_dir(share.join("lib")).unwrap();
-    let ldd = Command::new("ldd").arg(PROGRAM).output().unwrap();
-    for word in String::from_utf8(ldd.stdout).unwrap().split_whitespace() {
-        if word.starts_with('/') {
-            let name = Path::new(word).file_name().unwrap();
-            fs::copy(word, share.join("lib").join(name)).unwrap();
-        }
-    }
+    stage_program(share, "guest.sh");
     lane_model(share);
     fs::write(
         share.join("car.toml"),
@@ -136,7 +103,6 @@ fn stage(share: &Path) {
     let queue = std::env::var("GAPWATCH_VM_QUEUE").unwrap_or_else(|_| "10".to_owned());
     fs::write(share.join("queue"), queue).unwrap();
     fs::write(share.join("clear"), clear_requests()).unwrap();
-    fs::copy(format!("{ROOT}/tests/vm/guest.sh"), share.join("guest.sh")).unwrap();
 }
 
 /// `GapClear` with a wrong checksum, and two right ones.
@@ -399,11 +365,6 @@ fn changes(entries: &[Entry]) -> Vec<(f64, AlarmState)> {
         }
     }
     changes
-}
-
-/// Keeps what was measured, for `tests/vm/run` to show.
-fn report(share: &Path, name: &str, text: &str) {
-    fs::write(share.join(format!("report-{name}.md")), text).unwrap();
 }
 
 #[test]
