@@ -29,6 +29,8 @@ pub const TICK: Duration = Duration::from_millis(10);
 pub const JUDGE_WAITS: Duration = Duration::from_millis(50);
 
 /// What the judge says to the teller.
+// A verdict is most of what is said, and a box would be a request for memory a frame.
+#[allow(clippy::large_enum_variant)]
 #[derive(Clone, Debug, PartialEq)]
 pub enum Word {
     /// What is known.

@@ -421,15 +421,10 @@ impl WarningSink for SocketSink {
 
     fn is_ready(&mut self, now: Duration) -> bool {
         self.hear_own();
-        match &self.in_flight {
-            Some(sent) => {
-                let lost = now.saturating_sub(sent.since) >= ECHO_LOST;
-                if lost && self.state != BusState::Passive {
-                    log::warn!("{}: it did not say that a frame has left", self.name);
-                    self.in_flight = None;
-                }
-            }
-            None => {}
+        let old = |sent: &InFlight| now.saturating_sub(sent.since) >= ECHO_LOST;
+        if self.in_flight.as_ref().is_some_and(old) && self.state != BusState::Passive {
+            log::warn!("{}: it did not say that a frame has left", self.name);
+            self.in_flight = None;
         }
         let has_room = self.sockets.as_ref().is_none_or(Sockets::has_room);
         self.in_flight.is_none() && has_room

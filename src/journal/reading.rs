@@ -298,7 +298,7 @@ fn shown(text: &str) -> String {
 
 #[cfg(test)]
 mod tests {
-    #![allow(clippy::unwrap_used)]
+    #![allow(clippy::unwrap_used, clippy::float_cmp)]
     use super::*;
 
     const FIRST: &str = r#"{"gapwatch_journal":2,"began":{"utc":"2026-01-02T03:04:05.678Z","is_set":true,"monotonic_s":7.5},"about":{"source":"s"}}"#;
