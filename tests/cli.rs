@@ -107,7 +107,7 @@ fn files_that_are_wrong_are_met_in_plain_words_with_their_line() {
             "j.jsonl",
             journal.replacen("\"about\":{", "\"about\":3,\"of\":{", 1),
             vec!["report", "j.jsonl", "--out", "o.html"],
-            "about: another kind of value than belongs there; wanted",
+            "line 1: found about: 3; wanted an object",
         ),
     ] {
         write(name, &text);

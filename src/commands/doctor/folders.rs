@@ -84,8 +84,7 @@ fn in_words(found: &Found) -> String {
             ""
         };
         words += &format!(
-            ", and {} that is no event, which is left alone: {}{more}",
-            found.others.len(),
+            "; what is no event is left alone: {}{more}",
             names.join(", ")
         );
     }
