@@ -502,6 +502,43 @@ mod tests {
     }
 
     #[test]
+    fn while_the_interface_is_away_frames_of_both_kinds_are_refused() {
+        // So their counters stand still.
+        for state in [BusState::Unknown, BusState::Off] {
+            let (_, answers) = channel();
+            let mut sink = SocketSink {
+                name: "socketcan:nocan7".to_owned(),
+                interface: "nocan7".to_owned(),
+                heard: Heard {
+                    others: vec![0x5D8],
+                    own: vec![0x5D0, 0x5D2],
+                },
+                fd: true,
+                sockets: None,
+                in_flight: None,
+                foreign: Deque::new(),
+                answers,
+                reopen_at: Duration::ZERO,
+                state,
+            };
+            let frame = CanFrame {
+                id: 0x5D0,
+                data: [0; 8],
+            };
+            for at in [0, 100, 300].map(Duration::from_millis) {
+                assert!(sink.is_ready(at));
+                let refused = [sink.send(at, &frame), sink.send_fd(at, 0x5D2, &[0; 24])];
+                for refused in refused {
+                    assert!(
+                        matches!(refused, Err(SinkError::Refused { .. })),
+                        "{refused:?} at {at:?}"
+                    );
+                }
+            }
+        }
+    }
+
+    #[test]
     fn down_and_full_are_passing_and_unplugged_is_not() {
         let (enobufs, enetdown, enodev, enxio) = (105, 100, 19, 6);
         assert!(is_passing(&io::Error::from_raw_os_error(enobufs)));
