@@ -323,3 +323,64 @@ fn in_time(verdict: Verdict, latency: Duration) -> Verdict {
         ..Verdict::nothing_yet()
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_late_verdict_is_lagging_whatever_it_says() {
+        let just = LATE - Duration::from_nanos(1);
+        for state in [AlarmState::Ok, AlarmState::Gap, AlarmState::SensorFault] {
+            let verdict = Verdict {
+                at: Duration::from_secs(3),
+                sequence: Some(7),
+                state,
+                score: Some(0.1),
+                window_fill: Some(0.5),
+                fault_detection_counter: 9,
+                gap_stored: true,
+                ..Verdict::nothing_yet()
+            };
+            assert_eq!(in_time(verdict.clone(), just), verdict);
+            let late = in_time(verdict.clone(), LATE);
+            let wanted = Verdict {
+                state: AlarmState::Unavailable,
+                reason: Reason::Lagging,
+                undefined: Some(Undefined::Late(LATE)),
+                score: None,
+                ..verdict
+            };
+            assert_eq!(late, wanted);
+        }
+        // Silence is never late.
+        let silence = Verdict {
+            state: AlarmState::Unavailable,
+            reason: Reason::Stale,
+            ..Verdict::nothing_yet()
+        };
+        assert_eq!(in_time(silence.clone(), 2 * LATE), silence);
+    }
+
+    #[test]
+    fn trouble_is_told_once_a_second() {
+        let s = Duration::from_secs_f64;
+        let mut complained_at = None;
+        let told =
+            [0.0, 0.999, 1.0, 1.5, 2.0, 9.0].map(|at| may_complain(&mut complained_at, s(at)));
+        assert_eq!(told, [true, false, true, false, true, true]);
+    }
+
+    #[test]
+    fn an_error_is_told_with_what_caused_it() {
+        let error = OutputError::Bus(SinkError::Write {
+            sink: "log:-".to_owned(),
+            source: std::io::ErrorKind::StorageFull.into(),
+        });
+        let said = with_causes(&error);
+        assert!(
+            said.contains("log:-") && said.ends_with(": no storage space"),
+            "{said}"
+        );
+    }
+}

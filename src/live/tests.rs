@@ -225,6 +225,8 @@ struct Truth {
     undisturbed: bool,
     /// The last word said, and told before.
     said: Option<Verdict>,
+    /// Number of the last frame that a word was about.
+    said_of: Option<u64>,
     /// State of the last verdict on a frame, and on one that was judged.
     last_frame: Option<AlarmState>,
     last_judged_state: Option<AlarmState>,
@@ -590,7 +592,13 @@ impl World {
         let events: Vec<Event> = self.wire.borrow_mut().events.drain(..).collect();
         for (n, event) in events.iter().enumerate() {
             match event {
-                Event::Said(verdict) => self.truth.said = Some(verdict.clone()),
+                Event::Said(verdict) => {
+                    if let Some(sequence) = verdict.sequence {
+                        let before = self.truth.said_of.replace(sequence);
+                        assert!(before < Some(sequence), "frame {sequence} after {before:?}");
+                    }
+                    self.truth.said = Some(verdict.clone());
+                }
                 Event::Sent(at, frame) if frame.id == 0x5D0 => {
                     assert_eq!(*at, self.now, "sent with another time");
                     let next = events[n..].iter().find_map(|event| match event {
