@@ -21,6 +21,7 @@ use v4l::{Device, Format, FourCC, Fraction};
 use super::pixels::{Layout, PixelFormat, Pixels};
 use super::{CameraFacts, Frame, FrameSource, PictureError, Place, SourceError};
 use crate::board::{CAMERA_FORMATS, CameraWish};
+use crate::clock::monotonic;
 use crate::rate::{Pace, WantedPeriod};
 
 /// Buffers of the driver: one being filled, one waiting, one being read, one to spare.
@@ -122,7 +123,7 @@ impl CameraSource {
             back_off: BACK_OFF.0,
             sequence: 0,
             order: Order::default(),
-            clock: Clock::new(monotonic_now()),
+            clock: Clock::new(monotonic()),
             waited: Duration::ZERO,
             untimed: false,
             counts: Counts::default(),
@@ -158,7 +159,7 @@ impl CameraSource {
 
     /// When a frame was taken; the log hears of times that are missing or long ago.
     fn place(&mut self, stamp: &Stamp) -> Taken {
-        let now = monotonic_now();
+        let now = monotonic();
         let taken = self.clock.place(stamp.taken_at, now);
         if stamp.taken_at.is_none() && !self.untimed {
             self.untimed = true;
@@ -275,13 +276,6 @@ impl Clock {
     }
 }
 
-/// The system's monotonic clock, by which drivers stamp their frames.
-fn monotonic_now() -> Duration {
-    let now = rustix::time::clock_gettime(rustix::time::ClockId::Monotonic);
-    let part = |part: i64| u64::try_from(part).unwrap_or_default();
-    Duration::from_secs(part(now.tv_sec)) + Duration::from_nanos(part(now.tv_nsec))
-}
-
 impl FrameSource for CameraSource {
     fn next_frame(&mut self) -> Result<Option<Frame>, SourceError> {
         loop {
@@ -290,7 +284,7 @@ impl FrameSource for CameraSource {
                 continue;
             };
             let (picture, stamp) = match open.read(|| {
-                let elapsed = monotonic_now().saturating_sub(self.clock.began);
+                let elapsed = monotonic().saturating_sub(self.clock.began);
                 self.pace.is_due(elapsed, self.period.get())
             }) {
                 Ok(Some(read)) => read,
@@ -357,7 +351,7 @@ impl OpenCamera {
         let bytes = &buffer[..used.min(buffer.len())];
         let stamp = Stamp {
             number: meta.sequence,
-            taken_at: monotonic(meta),
+            taken_at: monotonic_stamp(meta),
         };
         let picture = is_wanted().then(|| self.layout.pixels(bytes));
         Ok(Some((picture, stamp)))
@@ -365,7 +359,7 @@ impl OpenCamera {
 }
 
 /// The driver's time of a frame, if it is of the system's monotonic clock.
-fn monotonic(meta: &Metadata) -> Option<Duration> {
+fn monotonic_stamp(meta: &Metadata) -> Option<Duration> {
     let clock = meta.flags & Flags::TIMESTAMP_MASK;
     let (sec, usec) = (meta.timestamp.sec, meta.timestamp.usec);
     let time = Duration::from_secs(u64::try_from(sec).ok()?)
@@ -575,10 +569,10 @@ mod tests {
             seconds
         };
         // The time since the start also counts while the computer sleeps, the monotonic clock does not.
-        assert!(monotonic_now().as_secs_f64() <= uptime() + 1.0);
-        let before = monotonic_now();
+        assert!(monotonic().as_secs_f64() <= uptime() + 1.0);
+        let before = monotonic();
         std::thread::sleep(ms(5));
-        assert!(monotonic_now() >= before + ms(5));
+        assert!(monotonic() >= before + ms(5));
     }
 
     #[test]

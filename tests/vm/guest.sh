@@ -15,8 +15,11 @@ exec /tmp/lib/ld-linux-x86-64.so.2 --library-path /tmp/lib /tmp/gapwatch "$@"
 END
 chmod +x /bin/gapwatch
 
-# mark WORD: at most 8 characters, in a frame of their own.
-mark() { cansend vcan1 7F0#"$(printf %s "$1" | od -An -tx1 | tr -d ' \n')"; }
+# mark WORD: at most 8 characters, in a frame of their own. The console shows how far it is.
+mark() {
+  echo "$1" >/dev/ttyS0
+  cansend vcan1 7F0#"$(printf %s "$1" | od -An -tx1 | tr -d ' \n')"
+}
 
 # With CAN FD, and a queue of the length that is asked for.
 bus_up() {
