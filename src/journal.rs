@@ -264,11 +264,12 @@ impl Journal {
             taps: taps.to_vec(),
             told_at: Duration::ZERO,
         };
-        journal.write(&FirstLine {
+        let first = FirstLine {
             gapwatch_journal: VERSION,
             began,
             about,
-        })?;
+        };
+        write_line(&mut journal.lines, &first).map_err(|error| failed(path, error))?;
         Ok(journal)
     }
 
@@ -284,18 +285,8 @@ impl Journal {
         latency: Duration,
     ) -> Result<(), JournalError> {
         self.told_at = self.told_at.max(now);
-        let taps = self.taps.clone();
-        self.write(&Line::new(&taps, self.told_at, verdict, latency))
-    }
-
-    fn write(&mut self, line: &impl Serialize) -> Result<(), JournalError> {
-        let bytes = serde_json::to_vec(line).map_err(io::Error::from);
-        bytes
-            .and_then(|mut bytes| {
-                bytes.push(b'\n');
-                self.lines.write_all(&bytes)
-            })
-            .map_err(|error| failed(&self.path, error))
+        let line = Line::new(&self.taps, self.told_at, verdict, latency);
+        write_line(&mut self.lines, &line).map_err(|error| failed(&self.path, error))
     }
 
     /// Ends the journal: its file is in place, and on the disk.
@@ -306,6 +297,13 @@ impl Journal {
         let finished = self.lines.finish();
         finished.map_err(|error| failed(&self.path, error))
     }
+}
+
+/// With one call, as an [`Output`] wants it.
+fn write_line(out: &mut Box<dyn Output>, line: &impl Serialize) -> io::Result<()> {
+    let mut bytes = serde_json::to_vec(line)?;
+    bytes.push(b'\n');
+    out.write_all(&bytes)
 }
 
 fn failed(path: &Path, error: io::Error) -> JournalError {

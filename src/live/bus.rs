@@ -13,7 +13,7 @@ use crate::judge::Verdict;
 use crate::reference::Reference;
 
 /// Shortest time between two lines of the program's log about the same trouble.
-pub const COMPLAINT: Duration = Duration::from_secs(1);
+const COMPLAINT: Duration = Duration::from_secs(1);
 
 /// A sink and what is said on it.
 pub struct Bus {
@@ -145,8 +145,7 @@ impl Bus {
         }
         match polled {
             Err(SinkError::Refused { sink, source }) => {
-                if self.complained_at.is_none_or(|at| now >= at + COMPLAINT) {
-                    self.complained_at = Some(now);
+                if may_complain(&mut self.complained_at, now) {
                     log::warn!(
                         "the bus {sink} takes no frame: {source}; {:?}",
                         self.sender.counts()
@@ -180,4 +179,13 @@ impl Bus {
     pub fn finish(self) -> Result<(), SinkError> {
         self.sink.finish()
     }
+}
+
+/// Whether the log may have a line now; at most one a second.
+pub(super) fn may_complain(complained_at: &mut Option<Duration>, now: Duration) -> bool {
+    let may = complained_at.is_none_or(|at| now >= at + COMPLAINT);
+    if may {
+        *complained_at = Some(now);
+    }
+    may
 }

@@ -6,7 +6,7 @@
 use std::error::Error;
 use std::time::Duration;
 
-use super::bus::COMPLAINT;
+use super::bus::may_complain;
 use super::outputs::{OutputError, Outputs};
 use super::service::{Service, ServiceWords};
 use super::{JUDGE_WAITS, Orders, Word};
@@ -295,15 +295,6 @@ fn with_causes(error: &dyn Error) -> String {
         cause = error.source();
     }
     line
-}
-
-/// At most one line a second.
-fn may_complain(complained_at: &mut Option<Duration>, now: Duration) -> bool {
-    let may = complained_at.is_none_or(|at| now >= at + COMPLAINT);
-    if may {
-        *complained_at = Some(now);
-    }
-    may
 }
 
 /// A verdict that comes too late is none.
