@@ -646,7 +646,7 @@ fn vm_a_night_is_a_gap_and_its_stored_bit_is_cleared_by_a_valid_request_only() {
         assert!(!fault, "{at}: {status:?}");
     }
     assert_eq!(night.last().unwrap().1.state, AlarmState::Ok);
-    let clear = between(&log, "clear", "killed");
+    let clear = between(&log, "clear", "unacked");
     let requests: Vec<f64> = clear
         .iter()
         .filter(|l| l.id == "5D8")
@@ -664,6 +664,31 @@ fn vm_a_night_is_a_gap_and_its_stored_bit_is_cleared_by_a_valid_request_only() {
     assert!(
         !stored_after(requests[1], requests[2]),
         "not cleared by a right one"
+    );
+}
+
+#[test]
+#[ignore = "needs qemu and Debian's kernel: run tests/run"]
+fn vm_a_bus_that_nobody_acknowledges_holds_one_old_frame_at_most() {
+    let share = machine();
+    let log = logged(&share);
+    let stuck = statuses(between(&log, "unacked", "acked"));
+    assert!(stuck.len() <= 1, "{stuck:?}");
+    let after = statuses(between(&log, "acked", "free"));
+    assert!(after.len() >= 9, "{after:?}");
+    let black = |(_, status): &&(f64, GapStatus)| {
+        (status.state, status.reason) == (AlarmState::SensorFault, Reason::Black)
+    };
+    let old = after.iter().filter(|status| !black(status)).count();
+    assert!(old <= 1, "{after:?}");
+    assert!(after[old..].iter().all(|status| black(&status)));
+    let queue = fs::read_to_string(share.join("queue")).unwrap();
+    report(
+        &share,
+        "unacknowledged",
+        &format!(
+            "Nobody acknowledges for 4 s, queue of {queue} frames: then {old} frame of before is sent, and the newest behind it.\n"
+        ),
     );
 }
 

@@ -162,21 +162,36 @@ pub struct EventFolder {
     leftovers: Vec<Leftover>,
     next: u64,
     removed: u64,
+    disk: Disk,
+}
+
+/// What is done on the disk that may fail for its own reasons.
+#[derive(Clone, Copy)]
+struct Disk {
+    /// Makes a file, which is on the disk when this returns.
+    write: fn(&Path, &[u8]) -> io::Result<()>,
     /// Removes a folder with all that it holds.
     delete: fn(&Path) -> io::Result<()>,
+}
+
+impl Disk {
+    const REAL: Self = Self {
+        write: |path, bytes| {
+            let mut file = File::create_new(path)?;
+            file.write_all(bytes)?;
+            sync(&file)
+        },
+        delete: |folder| fs::remove_dir_all(folder),
+    };
 }
 
 impl EventFolder {
     /// Opens or makes a folder; what an earlier run left unfinished goes.
     pub fn open(path: &Path, quota: Quota) -> io::Result<Self> {
-        Self::open_with(path, quota, |folder| fs::remove_dir_all(folder))
+        Self::open_on(Disk::REAL, path, quota)
     }
 
-    fn open_with(
-        path: &Path,
-        quota: Quota,
-        delete: fn(&Path) -> io::Result<()>,
-    ) -> io::Result<Self> {
+    fn open_on(disk: Disk, path: &Path, quota: Quota) -> io::Result<Self> {
         create_folders(path)?;
         let lock = File::open(path)?;
         lock.try_lock().map_err(taken)?;
@@ -191,7 +206,7 @@ impl EventFolder {
             events,
             leftovers: Vec::new(),
             removed: 0,
-            delete,
+            disk,
         };
         for path in unfinished {
             folder.discard(path);
@@ -247,11 +262,7 @@ impl EventFolder {
         let files = files
             .iter()
             .map(|(name, bytes)| (name.as_str(), bytes.as_slice()));
-        let write = |(name, bytes): (&str, &[u8])| {
-            let mut file = File::create_new(unfinished.join(name))?;
-            file.write_all(bytes)?;
-            sync(&file)
-        };
+        let write = |(name, bytes): (&str, &[u8])| (self.disk.write)(&unfinished.join(name), bytes);
         let written = files
             .chain([(EVENT_FILE, json)])
             .try_for_each(write)
@@ -357,7 +368,7 @@ impl EventFolder {
             .map_err(named)?;
         // Before its files: half an event must not have its name after the power was cut.
         let before = bytes_in(&gone).ok();
-        let deleted = sync_folder(&self.path).and_then(|()| (self.delete)(&gone));
+        let deleted = sync_folder(&self.path).and_then(|()| (self.disk.delete)(&gone));
         if let Err(error) = deleted {
             // When nothing of it is lost yet, it is an event again.
             let whole = before.is_some() && bytes_in(&gone).ok() == before;
@@ -395,7 +406,7 @@ impl EventFolder {
     }
 
     fn deleted(&self, path: &Path) -> io::Result<()> {
-        match (self.delete)(path) {
+        match (self.disk.delete)(path) {
             Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(()),
             deleted => deleted,
         }

@@ -239,6 +239,19 @@ for frame in $(cat clear); do
   sleep .3
 done
 grep VmRSS /proc/$monitor/status >>memory.log
+# Nobody acknowledges: a frame in 16 s leaves the queue, and the others stay in it. Meanwhile the picture is black.
+$tc qdisc replace dev vcan0 root tbf rate 8bit burst 16 limit $((16 * queue))
+mark unacked
+show black
+sleep 4
+mark acked
+$tc qdisc change dev vcan0 root tbf rate 1mbit burst 3200 limit $((72 * queue))
+# A queue hears of its new rate with the next frame only.
+cansend vcan0 123#
+sleep 1.5
+mark free
+show nominal
+sleep 1.5
 mark killed
 kill -KILL $monitor
 sleep .6

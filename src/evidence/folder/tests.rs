@@ -55,17 +55,32 @@ fn names(folder: &Path) -> BTreeSet<String> {
         .collect()
 }
 
-/// Fails on a folder with a file `stuck`, and in the middle on one with a file `half`.
-fn delete(folder: &Path) -> io::Result<()> {
-    if folder.join("stuck").exists() {
-        return Err(io::Error::other("stuck"));
-    }
-    if folder.join("half").exists() {
-        let _ = fs::remove_file(folder.join(EVENT_FILE));
-        return Err(io::Error::other("half"));
-    }
-    fs::remove_dir_all(folder)
-}
+/// Does not remove a folder with a file `stuck`, and half of one with a file `half`.
+const STICKY: Disk = Disk {
+    delete: |folder| {
+        if folder.join("stuck").exists() {
+            return Err(io::Error::other("stuck"));
+        }
+        if folder.join("half").exists() {
+            let _ = fs::remove_file(folder.join(EVENT_FILE));
+            return Err(io::Error::other("half"));
+        }
+        fs::remove_dir_all(folder)
+    },
+    ..Disk::REAL
+};
+
+/// Holds 2,500 bytes of files.
+const SMALL: Disk = Disk {
+    write: |path, bytes| {
+        let events = path.ancestors().nth(2).unwrap();
+        if bytes_in(events)? + bytes.len() as u64 > 2_500 {
+            return Err(io::ErrorKind::StorageFull.into());
+        }
+        (Disk::REAL.write)(path, bytes)
+    },
+    ..Disk::REAL
+};
 
 #[test]
 fn a_clock_that_jumps_takes_nothing_of_this_run() {
@@ -194,7 +209,7 @@ fn what_a_program_left_goes_and_what_stays_is_not_fatal() {
     let stuck = place.path().join(".unfinished-000004-gone/stuck");
     fs::write(&stuck, "").unwrap();
     assert_eq!(examine(place.path()).unwrap().unfinished, 4);
-    let mut folder = EventFolder::open_with(place.path(), quota(9, 1_000), delete).unwrap();
+    let mut folder = EventFolder::open_on(STICKY, place.path(), quota(9, 1_000)).unwrap();
     assert_eq!(names(place.path()).len(), 1);
     // Its bytes count until it is gone.
     assert!(folder.add(&event(1), &files(300)).is_err());
@@ -207,7 +222,7 @@ fn what_a_program_left_goes_and_what_stays_is_not_fatal() {
 fn an_event_that_cannot_be_removed_keeps_its_place_in_the_quota() {
     let place = tempfile::tempdir().unwrap();
     let stuck = |number: u32| place.path().join(format!("{number:06}/stuck"));
-    let mut folder = EventFolder::open_with(place.path(), quota(2, u64::MAX), delete).unwrap();
+    let mut folder = EventFolder::open_on(STICKY, place.path(), quota(2, u64::MAX)).unwrap();
     for t_s in 1..=2 {
         folder.add(&event(t_s), &[]).unwrap();
     }
@@ -232,7 +247,7 @@ fn an_event_that_cannot_be_removed_keeps_its_place_in_the_quota() {
     for number in [1, 3] {
         age(stuck(number).parent().unwrap(), at(TODAY - 60 * DAY));
     }
-    let mut folder = EventFolder::open_with(place.path(), quota(2, u64::MAX), delete).unwrap();
+    let mut folder = EventFolder::open_on(STICKY, place.path(), quota(2, u64::MAX)).unwrap();
     assert!(folder.expire(at(TODAY)).is_err());
     fs::remove_file(stuck(3)).unwrap();
     folder.add(&event(4), &[]).unwrap();
@@ -257,6 +272,32 @@ fn an_event_that_cannot_be_written_costs_no_other_and_leaves_nothing() {
     let unwritable = [files(10), vec![("no/such/folder".to_owned(), vec![1])]].concat();
     assert!(folder.add(&event(3), &unwritable).is_err());
     assert!(folder.add(&event(3), &files(10_001)).is_err());
+    assert_eq!((folder.removed(), names(place.path())), (0, before));
+}
+
+#[test]
+fn on_a_full_disk_the_oldest_goes_first_where_the_quota_wants_it() {
+    let place = tempfile::tempdir().unwrap();
+    let mut folder = EventFolder::open_on(SMALL, place.path(), quota(2, 10_000)).unwrap();
+    for t_s in 1..=2 {
+        folder.add(&event(t_s), &files(800)).unwrap();
+    }
+    // There is no room for a third one beside them.
+    folder.add(&event(3), &files(800)).unwrap();
+    let two = BTreeSet::from(["000002", "000003"].map(str::to_owned));
+    assert_eq!((folder.removed(), names(place.path())), (1, two));
+}
+
+#[test]
+fn on_a_full_disk_nothing_goes_that_the_quota_allows() {
+    let place = tempfile::tempdir().unwrap();
+    let mut folder = EventFolder::open_on(SMALL, place.path(), quota(3, 10_000)).unwrap();
+    for t_s in 1..=2 {
+        folder.add(&event(t_s), &files(800)).unwrap();
+    }
+    let before = names(place.path());
+    let error = folder.add(&event(3), &files(800)).unwrap_err();
+    assert_eq!(error.kind(), io::ErrorKind::StorageFull);
     assert_eq!((folder.removed(), names(place.path())), (0, before));
 }
 
@@ -469,7 +510,7 @@ impl Script<'_> {
             fs::write(left.join("frame.jpg"), "half").unwrap();
         }
         let quota = self.expected.quota;
-        self.folder = Some(EventFolder::open_with(self.place, quota, delete).unwrap());
+        self.folder = Some(EventFolder::open_on(STICKY, self.place, quota).unwrap());
         self.removed = 0;
         for name in names(self.place).difference(&self.expected.strange) {
             let marked = |mark| self.place.join(name).join(mark).exists();
@@ -521,7 +562,7 @@ fn whatever_happens_to_a_folder_the_quota_holds_and_nothing_else_is_touched() {
         let mut script = Script {
             dice,
             place: place.path(),
-            folder: Some(EventFolder::open_with(place.path(), quota, delete).unwrap()),
+            folder: Some(EventFolder::open_on(STICKY, place.path(), quota).unwrap()),
             expected: Expected {
                 events: BTreeMap::new(),
                 strange: BTreeSet::new(),
