@@ -23,73 +23,27 @@
 //! [`pipeline::Monitor::step`] is that chain. What cannot be judged is [`undefined::Undefined`], never a number, and the
 //! car is told `Unavailable` or `SensorFault`, never `Ok`.
 
-pub mod board;
+// In the order of the data: each uses those before it.
+pub mod files;
+pub mod statistics;
 
-// In the order in which a frame passes them; rustfmt sorts within a group.
-pub mod frame;
-pub mod scene;
-
-pub mod camera_health;
+pub mod capture;
 
 pub mod model;
-pub mod preprocess;
 
-pub mod image_quality;
+pub mod features;
 
-pub mod encoder;
-
-pub mod attention;
-pub mod lane;
-
-pub mod energies;
-
-pub mod histogram;
-
-pub mod gap;
 pub mod reference;
 
-pub mod intake;
-
-pub mod continuity;
-pub mod detector;
-pub mod profile;
-pub mod profile_chart;
-
-pub mod alarm;
-pub mod health;
-pub mod rate;
-
-pub mod judge;
-
-pub mod pipeline;
+pub mod monitor;
 
 pub mod can;
 
-pub mod evidence;
+pub mod record;
+
 pub mod live;
 
-// Whole sources at once.
-pub mod labelled;
-pub mod survey;
-
 pub mod calibration;
-pub mod comparison;
-pub mod shard;
 
-pub mod evaluation;
-pub mod heat;
-pub mod report;
-
-// What all of them use.
-mod bootstrap;
-pub mod clock;
-pub mod durable;
-pub mod event_rate;
-pub mod journal;
-pub mod json_fault;
-pub mod live_file;
-pub mod output;
-pub mod temporary_folder;
-pub mod toml_keys;
-pub mod undefined;
-pub mod whole_file;
+#[cfg(feature = "lab")]
+pub mod lab;

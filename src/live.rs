@@ -10,6 +10,8 @@
 //! time comes in as an argument, and the threads and clocks around them are the command's. A test plays hours of scripts through
 //! them in seconds. A replay tells the same [`outputs::Outputs`], with the drive's time for a clock.
 
+pub mod board;
+
 pub mod bus;
 pub mod judging;
 pub mod outputs;
@@ -21,7 +23,7 @@ mod tests;
 
 use std::time::Duration;
 
-use crate::judge::Verdict;
+use crate::monitor::judge::Verdict;
 
 /// How often the bus is looked after: half of the shortest time between two frames of `GapStatus`.
 pub const TICK: Duration = Duration::from_millis(10);

@@ -1,9 +1,6 @@
 //! Words typed → command → exit code.
 
-mod args;
-mod commands;
-mod counting;
-mod logging;
+mod cli;
 
 use std::io::Write;
 use std::process::ExitCode;
@@ -12,24 +9,25 @@ use clap::Parser;
 use clap::error::ErrorKind;
 
 #[global_allocator]
-static ALLOCATOR: counting::Counting = counting::Counting;
+static ALLOCATOR: cli::counting::Counting = cli::counting::Counting;
 
 /// Exit code of a command that could not do its job.
 const COULD_NOT: u8 = 2;
 
 fn main() -> ExitCode {
-    logging::begin();
+    gapwatch::lab::register();
+    cli::logging::begin();
     std::panic::set_hook(Box::new(|panic| {
-        if !gapwatch::encoder::in_tract() {
+        if !gapwatch::model::encoder::in_tract() {
             complain(&format!("internal error, please report: {panic}"));
         }
     }));
-    let cli = match args::Cli::try_parse() {
-        Ok(cli) => cli,
+    let typed = match cli::args::Cli::try_parse() {
+        Ok(typed) => typed,
         Err(error) => return refuse_or_help(&error),
     };
     let mut out = std::io::stdout().lock();
-    match commands::run(cli.command, &mut out).and_then(|code| Ok(out.flush().map(|()| code)?)) {
+    match cli::run(typed.command, &mut out).and_then(|code| Ok(out.flush().map(|()| code)?)) {
         Ok(code) => ExitCode::from(code),
         // The reader of our output has left, as `head` does: not our fault, but not our job done either.
         Err(error) if is_broken_pipe(&error) => ExitCode::from(COULD_NOT),
@@ -66,7 +64,7 @@ fn refuse_or_help(error: &clap::Error) -> ExitCode {
 
 fn complain(what: &str) {
     let one_line = what.split_whitespace().collect::<Vec<_>>().join(" ");
-    let level = logging::prefix(log::Level::Error);
+    let level = cli::logging::prefix(log::Level::Error);
     let _ = writeln!(std::io::stderr(), "{level}gapwatch: {one_line}");
 }
 

@@ -5,11 +5,11 @@
 
 use std::time::Duration;
 
-use crate::alarm::{Alarm, AlarmState, Judgement, Reason};
-use crate::bootstrap;
-use crate::detector::{Cusum, judgement};
-use crate::event_rate::poisson_interval;
+use crate::monitor::alarm::{Alarm, AlarmState, Judgement, Reason};
+use crate::monitor::detector::{Cusum, judgement};
 use crate::reference::{FalseAlarms, NominalDrives, RateFactor};
+use crate::statistics::bootstrap;
+use crate::statistics::event_rate::poisson_interval;
 
 /// Factors that are tried: from the first, each this much above the one before.
 const FACTOR_MIN: f64 = 0.1;
@@ -242,7 +242,7 @@ fn nominal(drives: &[&DriveScores], factor: f64) -> NominalDrives {
 mod tests {
     #![allow(clippy::unwrap_used, clippy::float_cmp, clippy::cast_precision_loss)]
     use super::*;
-    use crate::event_rate::{CountedRate, Loudness};
+    use crate::statistics::event_rate::{CountedRate, Loudness};
 
     /// A drive of a minute at 2 frames a second that is calm but for 5 s at `peak`.
     fn drive(peak: f64) -> DriveScores {

@@ -9,7 +9,7 @@ use super::e2e::E2eSender;
 use super::generated;
 use super::message::steps;
 use super::{CanSettings, SinkError, WarningSink};
-use crate::image_quality::ImageQuality;
+use crate::features::image_quality::ImageQuality;
 
 /// Bytes of the message.
 pub const LENGTH: usize = 24;

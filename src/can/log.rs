@@ -8,9 +8,9 @@ use std::path::Path;
 use std::time::Duration;
 
 use super::{CanFrame, SinkError, WarningSink};
-use crate::live_file::LiveFile;
-use crate::output::{Output, Stream};
-use crate::whole_file::WholeFile;
+use crate::files::live_file::LiveFile;
+use crate::files::output::{Output, Stream};
+use crate::files::whole_file::WholeFile;
 
 /// Name of the interface in the log.
 pub const INTERFACE: &str = "can0";

@@ -14,7 +14,7 @@ use super::generated::{
     self, GapClearClearCode as ClearCode, GapHealthBusState as BusCode,
     GapStatusReason as ReasonCode, GapStatusState as StateCode,
 };
-use crate::alarm::{AlarmState, Reason};
+use crate::monitor::alarm::{AlarmState, Reason};
 
 // The generated accessors of scaled signals round towards zero and give "not available" the
 // physical value 255, so the raw accessors are used and the factors of the DBC are repeated here;

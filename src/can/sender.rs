@@ -287,8 +287,8 @@ impl<T: Copy> Schedule<T> {
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
-    use crate::alarm::{AlarmState, Reason};
     use crate::can::e2e::{E2eReceiver, Sequence};
+    use crate::monitor::alarm::{AlarmState, Reason};
     use proptest::prelude::*;
     use std::io;
 

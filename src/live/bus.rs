@@ -7,9 +7,9 @@ use crate::can::message::{GapHealth, GapStatus};
 use crate::can::receiver::{Heard, Receiver};
 use crate::can::sender::StatusSender;
 use crate::can::{CanSettings, CanSettingsError, SinkError, WarningSink};
-use crate::detector::BlockScore;
-use crate::health::Health;
-use crate::judge::Verdict;
+use crate::monitor::detector::BlockScore;
+use crate::monitor::health::Health;
+use crate::monitor::judge::Verdict;
 use crate::reference::Reference;
 
 /// Shortest time between two lines of the program's log about the same trouble.

@@ -3,8 +3,8 @@
 use std::time::Duration;
 
 use super::{Orders, Word};
-use crate::judge::{Judge, Sighting, Verdict};
-use crate::rate::{Periods, RatePolicy};
+use crate::monitor::judge::{Judge, Sighting, Verdict};
+use crate::monitor::rate::{Periods, RatePolicy};
 
 /// What the judge knows between frames.
 #[derive(Debug)]

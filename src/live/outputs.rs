@@ -4,8 +4,8 @@ use std::time::Duration;
 
 use super::bus::Bus;
 use crate::can::SinkError;
-use crate::journal::{Journal, JournalError, RecordingJournal};
-use crate::judge::Verdict;
+use crate::monitor::judge::Verdict;
+use crate::record::journal::{Journal, JournalError, RecordingJournal};
 
 /// The bus, and what is written.
 pub struct Outputs {

@@ -10,13 +10,13 @@ use super::bus::may_complain;
 use super::outputs::{OutputError, Outputs};
 use super::service::{Service, ServiceWords};
 use super::{JUDGE_WAITS, Orders, Word};
-use crate::alarm::{AlarmState, Reason};
 use crate::can::SinkError;
 use crate::can::receiver::Heard;
 use crate::can::speed::Parking;
-use crate::continuity::STALE;
-use crate::judge::Verdict;
-use crate::undefined::Undefined;
+use crate::capture::undefined::Undefined;
+use crate::monitor::alarm::{AlarmState, Reason};
+use crate::monitor::continuity::STALE;
+use crate::monitor::judge::Verdict;
 
 /// A verdict on a frame this old comes too late to warn of anything: as long as without any verdict.
 const LATE: Duration = STALE;

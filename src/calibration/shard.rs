@@ -1,0 +1,182 @@
+//! Parts of a reference: which drives had which role, of a model and for which thresholds. What the encoder saw of them is
+//! in a survey store.
+
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+
+use crate::calibration::Wanted;
+use crate::files::json_fault::fault;
+use crate::files::whole_file::{WholeFile, read_whole};
+use crate::reference::gap::Metric;
+use crate::reference::{BYTES_MAX, ModelFingerprint, Reference, ReferenceError, Role};
+
+const FORMAT: &str = "gapwatch-shard";
+const VERSION: u32 = 1;
+
+/// Drives of a reference to be: a file beside their surveys. A reference says as much of its own drives.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Shard {
+    format: String,
+    version: u32,
+    /// Version of the program.
+    pub gapwatch: String,
+    /// The model that looked.
+    pub model: ModelFingerprint,
+    /// How gaps are to be measured.
+    pub metric: Metric,
+    /// Length of the detector's window, seconds.
+    pub window_s: f64,
+    /// Wanted entries into `Gap` an hour.
+    pub false_alarms_per_hour: f64,
+    /// The drives.
+    pub sources: Vec<ShardSource>,
+}
+
+/// A drive of a shard.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ShardSource {
+    /// As typed.
+    pub source: String,
+    /// What it is there for.
+    pub role: Role,
+    /// Frames it gave.
+    pub frames: u64,
+}
+
+/// A file that is no part of a reference.
+#[derive(Debug, thiserror::Error)]
+pub enum ShardError {
+    /// It cannot be read or written, or is a reference that cannot be used.
+    #[error(transparent)]
+    Reference(#[from] ReferenceError),
+    /// It is neither shard nor reference.
+    #[error("{}: {found}; wanted a reference, or a shard of version {VERSION}, as written by gapwatch calibrate", path.display())]
+    Malformed {
+        /// Which file.
+        path: PathBuf,
+        /// What was found.
+        found: String,
+    },
+}
+
+impl Shard {
+    /// Some drives for a reference to be.
+    pub fn new(model: ModelFingerprint, wanted: Wanted, sources: Vec<ShardSource>) -> Self {
+        Self {
+            format: FORMAT.to_owned(),
+            version: VERSION,
+            gapwatch: env!("CARGO_PKG_VERSION").to_owned(),
+            model,
+            metric: wanted.metric,
+            window_s: wanted.window_s,
+            false_alarms_per_hour: wanted.false_alarms_per_hour,
+            sources,
+        }
+    }
+
+    /// Reads a shard, or what a reference says of its drives.
+    ///
+    /// # Errors
+    /// When it cannot be read, is neither, or is a reference that does not say what its drives were there for.
+    pub fn read(path: &Path) -> Result<Self, ShardError> {
+        let malformed = |found: String| ShardError::Malformed {
+            path: path.to_owned(),
+            found,
+        };
+        let text = read_whole(path, BYTES_MAX).map_err(|error| ReferenceError::File {
+            path: path.to_owned(),
+            error,
+        })?;
+        let value: serde_json::Value =
+            serde_json::from_slice(&text).map_err(|error| malformed(fault(&error)))?;
+        if value["format"] == FORMAT {
+            if value["version"] != VERSION {
+                return Err(malformed(format!(
+                    "a shard of version {}",
+                    value["version"]
+                )));
+            }
+            return serde_json::from_slice(&text).map_err(|error| malformed(fault(&error)));
+        }
+        let reference = Reference::read(Some(path))?;
+        let sources = reference.provenance.sources.into_iter().map(|source| {
+            let role = source.role.ok_or_else(|| {
+                malformed(format!(
+                    "a reference that does not say what {} was there for",
+                    source.source
+                ))
+            })?;
+            Ok(ShardSource {
+                source: source.source,
+                role,
+                frames: source.frames,
+            })
+        });
+        Ok(Self {
+            format: FORMAT.to_owned(),
+            version: VERSION,
+            gapwatch: reference.provenance.gapwatch,
+            model: reference.model,
+            metric: reference.metric,
+            window_s: reference.window_s,
+            false_alarms_per_hour: reference.false_alarms.wanted_per_hour,
+            sources: sources.collect::<Result<_, ShardError>>()?,
+        })
+    }
+
+    /// Writes the file whole or not at all.
+    ///
+    /// # Errors
+    /// When it cannot be written.
+    pub fn write(&self, path: &Path) -> Result<(), ShardError> {
+        let failed = |error| ReferenceError::File {
+            path: path.to_owned(),
+            error,
+        };
+        let text = serde_json::to_string_pretty(self).map_err(|e| failed(e.into()))?;
+        let mut file = WholeFile::create(path).map_err(failed)?;
+        writeln!(file, "{text}").map_err(failed)?;
+        Ok(file.finish().map_err(failed)?)
+    }
+
+    /// What the reference is to be like.
+    pub fn wanted(&self) -> Wanted {
+        Wanted {
+            metric: self.metric,
+            window_s: self.window_s,
+            false_alarms_per_hour: self.false_alarms_per_hour,
+        }
+    }
+
+    /// The first part in which another shard cannot be of the same reference: what it is, here and there.
+    pub fn difference(&self, other: &Self) -> Option<(&'static str, String, String)> {
+        let parts = [
+            (
+                "version of gapwatch",
+                self.gapwatch.clone(),
+                other.gapwatch.clone(),
+            ),
+            ("metric", self.metric.to_string(), other.metric.to_string()),
+            (
+                "window, seconds,",
+                self.window_s.to_string(),
+                other.window_s.to_string(),
+            ),
+            (
+                "wanted rate of false alarms an hour",
+                self.false_alarms_per_hour.to_string(),
+                other.false_alarms_per_hour.to_string(),
+            ),
+        ];
+        let of_model = self.model.difference(&other.model);
+        let of_model = of_model.map(|(what, ours, theirs)| match what {
+            "hash" => ("hash of the model", ours, theirs),
+            what => (what, ours, theirs),
+        });
+        of_model.or_else(|| parts.into_iter().find(|(_, ours, theirs)| ours != theirs))
+    }
+}

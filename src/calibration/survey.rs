@@ -1,0 +1,127 @@
+//! Whole sources through the encoder: what `calibrate` and `compare` work on.
+
+use std::time::Duration;
+
+use serde::{Deserialize, Serialize};
+
+use crate::capture::undefined::Undefined;
+use crate::capture::{SourceError, open};
+use crate::features::attention::{EnergyMap, Upsampler};
+use crate::features::energies::{BlockMeans, EnergyStage};
+use crate::model::encoder::{Encoder, EncoderError};
+use crate::model::preprocess::Preprocessing;
+
+pub mod store;
+
+/// A source seen through the encoder.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Survey {
+    /// As typed.
+    pub source: String,
+    /// When each frame was taken.
+    pub times: Vec<Duration>,
+    /// Of every frame, in order: what the encoder saw, or why nothing.
+    pub frames: Vec<Result<SurveyFrame, Undefined>>,
+    /// Size that maps are resampled to, width and height.
+    pub common_size: (usize, usize),
+}
+
+/// One frame of a survey.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct SurveyFrame {
+    /// Energy maps of the blocks, each of its block's own size; empty when only means are kept.
+    pub maps: Vec<EnergyMap>,
+    /// Largest energy of each block at its own size.
+    pub peaks: Vec<f64>,
+    /// Means of each block.
+    pub means: Vec<BlockMeans>,
+}
+
+/// What a survey keeps of a frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Keep {
+    /// Energy maps and means: about 20 KB of the built-in model.
+    Maps,
+    /// Means alone: about 4 KB.
+    Means,
+}
+
+/// A source that could not be surveyed.
+#[derive(Debug, thiserror::Error)]
+pub enum SurveyError {
+    /// The source failed.
+    #[error(transparent)]
+    Source(#[from] SourceError),
+    /// The encoder failed.
+    #[error(transparent)]
+    Encoder(#[from] EncoderError),
+    /// A picture of a set that is to be measured cannot be read.
+    #[error("{0}")]
+    Picture(String),
+}
+
+impl SurveyFrame {
+    /// The last picture that a stage has judged.
+    pub fn of(stage: &EnergyStage, keep: Keep) -> Self {
+        Self {
+            maps: match keep {
+                Keep::Maps => stage.maps().to_vec(),
+                Keep::Means => Vec::new(),
+            },
+            peaks: stage.maps().iter().map(|map| map.range().1).collect(),
+            means: stage.means().to_vec(),
+        }
+    }
+}
+
+impl Survey {
+    /// Looks at every frame of a source; `seen` is called after each.
+    ///
+    /// # Errors
+    /// When the source or the encoder fails, and for a picture that cannot be read: a set is measured whole or not at all.
+    pub fn of(
+        source: &str,
+        encoder: &Encoder,
+        preprocessing: &Preprocessing,
+        keep: Keep,
+        seen: &(dyn Fn() + Sync),
+    ) -> Result<Self, SurveyError> {
+        let mut stage = EnergyStage::new(encoder, preprocessing)?;
+        let mut frames_of = open(source)?;
+        let (mut times, mut frames) = (Vec::new(), Vec::new());
+        while let Some(frame) = frames_of.next_frame()? {
+            if let Err(error) = &frame.picture {
+                return Err(SurveyError::Picture(error.to_string()));
+            }
+            times.push(frame.captured_at);
+            let judged = stage.energies(&frame).map(|_| ());
+            frames.push(judged.map(|()| SurveyFrame::of(&stage, keep)));
+            seen();
+        }
+        Ok(Self {
+            source: source.to_owned(),
+            times,
+            frames,
+            common_size: stage.common_size(),
+        })
+    }
+
+    /// The maps of one tap at the common size, frame by frame; the survey must have kept them.
+    ///
+    /// # Errors
+    /// Item by item, why a frame has none.
+    pub fn common_maps(
+        &self,
+        tap: usize,
+    ) -> impl Iterator<Item = Result<EnergyMap, Undefined>> + '_ {
+        let mut upsampler: Option<Upsampler> = None;
+        self.frames.iter().map(move |energies| {
+            let map = &energies.as_ref().map_err(Undefined::clone)?.maps[tap];
+            let upsampler = upsampler
+                .get_or_insert_with(|| Upsampler::new((map.width, map.height), self.common_size));
+            let mut common = EnergyMap::default();
+            upsampler.resample(map, &mut common);
+            Ok(common)
+        })
+    }
+}

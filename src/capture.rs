@@ -1,0 +1,35 @@
+//! Frames and where they come from: the entrance of the chain.
+//!
+//! Owns opening sources by name and reading pictures. A picture that cannot be read is not the end of a source: it
+//! travels as a frame with its error, so that the monitor can say what it did not see.
+
+pub mod clock;
+pub mod undefined;
+
+mod picture;
+
+mod compressed;
+pub mod pixels;
+
+mod frame;
+
+pub mod newest;
+pub mod period;
+mod wish;
+
+#[cfg(feature = "camera")]
+mod camera;
+mod images;
+mod random;
+mod recording;
+mod video;
+
+mod names;
+mod sources;
+
+pub use compressed::jpeg;
+pub use frame::{Frame, FrameSource, Place, SourceError, time_of};
+pub use names::{camera_of, drives, ranges, sort_drives, stamp, template};
+pub use picture::{PIXELS_MAX, Picture, PictureError};
+pub use sources::{BUILT_IN_DRIVE, FOLDER_FPS, camera_facts, open, open_camera, register_scenes};
+pub use wish::{CAMERA_FORMATS, CameraFacts, CameraWish};

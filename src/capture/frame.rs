@@ -1,0 +1,152 @@
+//! A frame, and what gives frames.
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+use super::picture::PictureError;
+use super::pixels::Pixels;
+
+/// A picture with its place in time, or why there is none.
+#[derive(Debug)]
+pub struct Frame {
+    /// Count of frames of the source, from 0.
+    pub sequence: u64,
+    /// Time since the source began.
+    pub captured_at: Duration,
+    /// The picture, or what was wrong with it.
+    pub picture: Result<Pixels, PictureError>,
+}
+
+/// A source that cannot be opened or goes on no more.
+#[derive(Debug, thiserror::Error)]
+pub enum SourceError {
+    /// Nothing of that name.
+    #[error("{}: no such file or folder", .0.display())]
+    Missing(PathBuf),
+    /// A folder without images.
+    #[error("{}: no PNG or JPEG image in this folder (those of a scene set are in its folder frames)", .0.display())]
+    Empty(PathBuf),
+    /// A file or folder that cannot be read.
+    #[error("{}: {error}", path.display())]
+    Unreadable {
+        /// Which.
+        path: PathBuf,
+        /// Why.
+        error: std::io::Error,
+    },
+    /// A name that is not understood.
+    #[error("source {found:?}: {wanted}")]
+    Name {
+        /// As typed.
+        found: String,
+        /// What would do.
+        wanted: String,
+    },
+    /// A rendered drive that is not understood: what was found and what would do.
+    #[error("{0}")]
+    Scene(String),
+    /// A camera that cannot be opened.
+    #[error("{device}: {why}")]
+    Camera {
+        /// Which.
+        device: String,
+        /// What the system answered, or what is missing.
+        why: String,
+    },
+    /// A recording that cannot be read.
+    #[error("{}: {why}", path.display())]
+    Recording {
+        /// Which file.
+        path: PathBuf,
+        /// What is wrong with it, or which of its topics to name.
+        why: String,
+    },
+    /// A video that cannot be decoded.
+    #[error("{}: {why}", path.display())]
+    Video {
+        /// Which file.
+        path: PathBuf,
+        /// What `ffmpeg` said, or that it is missing.
+        why: String,
+    },
+}
+
+/// Where a frame stands among the others of its source.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Place {
+    /// Its number.
+    pub number: u64,
+    /// When it was taken; `None` where that is not known.
+    pub at: Option<Duration>,
+}
+
+impl Place {
+    /// The one rule of order: the number is larger than that of the frame `before`, and so is the time where both are known.
+    pub fn is_after(self, before: Self) -> bool {
+        let times = before.at.zip(self.at);
+        self.number > before.number && times.is_none_or(|(then, now)| now > then)
+    }
+}
+
+/// Gives frames in order of time.
+pub trait FrameSource: Send {
+    /// The next frame, or `None` at the end.
+    ///
+    /// # Errors
+    /// When the source breaks off; a single unreadable picture is not an error but a [`Frame`] without picture.
+    fn next_frame(&mut self) -> Result<Option<Frame>, SourceError>;
+
+    /// How many frames there will be, when known.
+    fn frame_count(&self) -> Option<u64>;
+
+    /// When the source began, since the epoch of its clock, where it has one; known with its first frame.
+    fn began_at(&self) -> Option<Duration> {
+        None
+    }
+
+    /// Whether frames come at their own pace, as from a camera.
+    fn is_live(&self) -> bool {
+        false
+    }
+
+    /// How long ago the last frame of a live source was taken when it was given; zero where that is not known.
+    fn waited(&self) -> Duration {
+        Duration::ZERO
+    }
+}
+
+/// The time of frame `sequence` at a steady rate.
+pub fn time_of(sequence: u64, fps: f64) -> Duration {
+    // Exact to the nanosecond for more than 50 days of 100 frames a second.
+    #[allow(clippy::cast_precision_loss)]
+    Duration::from_secs_f64(sequence as f64 / fps)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_frame_is_after_another_by_number_and_time() {
+        let place = |number, nanos: Option<u64>| Place {
+            number,
+            at: nanos.map(Duration::from_nanos),
+        };
+        for (number, nanos, after) in [
+            (8, Some(101), true),
+            (u64::MAX, Some(u64::MAX), true),
+            (7, Some(101), false),
+            (6, Some(101), false),
+            (0, Some(101), false),
+            (8, Some(100), false),
+            (8, Some(99), false),
+            (8, Some(0), false),
+            (8, None, true),
+            (7, None, false),
+        ] {
+            let found = place(number, nanos).is_after(place(7, Some(100)));
+            assert_eq!(found, after, "{number} at {nanos:?}");
+        }
+        assert!(place(8, Some(0)).is_after(place(7, None)));
+    }
+}

@@ -1,0 +1,281 @@
+//! Names of drives: which stand for many, in which order they come, and whether what they name has changed.
+
+use std::fs;
+use std::io::ErrorKind;
+use std::path::Path;
+use std::time::UNIX_EPOCH;
+
+use sha2::{Digest, Sha256};
+
+use super::frame::SourceError;
+
+/// Most drives that one name may stand for.
+const DRIVES_MAX: u64 = 10_000;
+/// The same, as a count.
+const RANGE_MAX: usize = 10_000;
+
+/// How a camera is written, of a device that is named without that; `None` of any other source.
+pub fn camera_of(source: &str) -> Option<String> {
+    source
+        .starts_with("/dev/video")
+        .then(|| format!("v4l2:{source}"))
+}
+
+/// The name of a file or folder with what may stand behind it.
+pub struct FileName<'a> {
+    pub path: &'a Path,
+    pub fps: Option<f64>,
+    pub topic: Option<&'a str>,
+}
+
+/// Splits `PATH?fps=N` or `PATH?topic=NAME`; a path that exists as typed is taken whole. Refuses what is no file: nothing,
+/// and cameras.
+pub fn file_name(name: &str) -> Result<FileName<'_>, SourceError> {
+    let camera = camera_of(name).or_else(|| name.starts_with("v4l2:").then(|| name.to_owned()));
+    let wanted = "wanted scene:…, random:…, a folder, an image, a recording or a video";
+    if camera.is_some() || name.is_empty() {
+        let watched = |camera| {
+            format!(
+                "a camera is watched by gapwatch monitor, with source = {camera:?} in [camera] of a board file; {wanted}"
+            )
+        };
+        return Err(SourceError::Name {
+            found: name.to_owned(),
+            wanted: camera.map_or_else(|| wanted.to_owned(), watched),
+        });
+    }
+    let (mut path, mut fps, mut topic) = (name, None, None);
+    if !Path::new(name).exists() {
+        if let Some((before, number)) = name.rsplit_once("?fps=") {
+            let number = number
+                .parse()
+                .ok()
+                .filter(|fps| (0.1..=240.0).contains(fps));
+            fps = Some(number.ok_or_else(|| SourceError::Name {
+                found: name.to_owned(),
+                wanted: "wanted ?fps= from 0.1 to 240".to_owned(),
+            })?);
+            path = before;
+        } else if let Some((before, wanted)) = name.split_once("?topic=") {
+            topic = Some(wanted);
+            path = before;
+        }
+    }
+    Ok(FileName {
+        path: Path::new(path),
+        fps,
+        topic,
+    })
+}
+
+/// The drives that a name stands for: one, or for `scene:…seed=A..B…` one a seed, both ends included.
+///
+/// # Errors
+/// When the range is empty or too long.
+pub fn drives(name: &str) -> Result<Vec<String>, SourceError> {
+    let Some((before, seeds, after)) = seed_in(name).filter(|(_, seeds, _)| seeds.contains(".."))
+    else {
+        return Ok(vec![name.to_owned()]);
+    };
+    let range = seeds
+        .split_once("..")
+        .and_then(|(from, to)| Some((from.parse::<u64>().ok()?, to.parse::<u64>().ok()?)));
+    match range {
+        Some((from, to)) if from <= to && to - from < DRIVES_MAX => Ok((from..=to)
+            .map(|seed| format!("{before}{seed}{after}"))
+            .collect()),
+        _ => Err(SourceError::Name {
+            found: name.to_owned(),
+            wanted: format!("wanted seed=A..B, A not above B, at most {DRIVES_MAX} seeds"),
+        }),
+    }
+}
+
+/// What stands before, in and after the seed of a rendered drive.
+fn seed_in(name: &str) -> Option<(&str, &str, &str)> {
+    let spec = name.strip_prefix("scene:")?;
+    let start = name.len() - spec.len() + spec.find("seed=")? + "seed=".len();
+    let length = name[start..].find('&').unwrap_or(name.len() - start);
+    let (before, rest) = name.split_at(start);
+    let (seed, after) = rest.split_at(length);
+    Some((before, seed, after))
+}
+
+/// A drive's name without its seed: drives of the same template differ in nothing else. Files and folders are templates of
+/// their own.
+pub fn template(name: &str) -> String {
+    parts(name).0
+}
+
+fn parts(name: &str) -> (String, Option<u64>) {
+    let seeded = seed_in(name).and_then(|(before, seed, after)| {
+        let number: u64 = seed.parse().ok()?;
+        // What is written otherwise than we would is a name of its own.
+        (number.to_string() == seed).then(|| (format!("{before}*{after}"), Some(number)))
+    });
+    seeded.unwrap_or_else(|| (name.to_owned(), None))
+}
+
+/// Brings drives into the order in which they are always taken: by template, then by seed; files and folders in name order.
+pub fn sort_drives(names: &mut [String]) {
+    names.sort_by_cached_key(|name| {
+        let (template, seed) = parts(name);
+        (name_order(&template), seed)
+    });
+}
+
+/// The fewest names that stand for sorted drives: seeds that follow each other become ranges.
+pub fn ranges(sorted: &[String]) -> Vec<String> {
+    let follows = |before: &String, name: &String| {
+        let ((template, seed), (next_template, next)) = (parts(before), parts(name));
+        template == next_template
+            && seed
+                .zip(next)
+                .is_some_and(|(a, b)| a.checked_add(1) == Some(b))
+    };
+    // A range stands for no more drives than may be typed.
+    let runs = sorted
+        .chunk_by(follows)
+        .flat_map(|run| run.chunks(RANGE_MAX));
+    let named = runs.filter_map(|run| {
+        let (first, last) = (run.first()?, run.last()?);
+        match (seed_in(first), seed_in(last)) {
+            (Some((before, from, after)), Some((_, to, _))) if run.len() > 1 => {
+                Some(format!("{before}{from}..{to}{after}"))
+            }
+            _ => Some(first.clone()),
+        }
+    });
+    named.collect()
+}
+
+/// A piece of a name.
+#[derive(PartialEq, Eq, PartialOrd, Ord)]
+pub enum NamePart {
+    Number(u128, String),
+    Text(String),
+}
+
+/// Name order as people mean it: runs of digits count as numbers, so `frame_2` comes before `frame_10`.
+pub fn name_order(name: &str) -> Vec<NamePart> {
+    let name: Vec<char> = name.chars().collect();
+    name.chunk_by(|a, b| a.is_ascii_digit() == b.is_ascii_digit())
+        .map(|part| {
+            let text: String = part.iter().collect();
+            text.parse().map_or_else(
+                |_| NamePart::Text(text.clone()),
+                |number| NamePart::Number(number, text.clone()),
+            )
+        })
+        .collect()
+}
+
+/// Changes when what a name stands for does: hash of names, sizes and times of change of a file or of those in a folder;
+/// empty of what is rendered. A file rewritten within the disk's resolution of times, with as many bytes, is not noticed.
+///
+/// # Errors
+/// When there is no such file or folder.
+pub fn stamp(name: &str) -> Result<String, SourceError> {
+    if name.starts_with("scene:") || name.starts_with("random:") {
+        return Ok(String::new());
+    }
+    let FileName { path, .. } = file_name(name)?;
+    let unreadable = |error: std::io::Error| match error.kind() {
+        ErrorKind::NotFound => SourceError::Missing(path.to_owned()),
+        _ => SourceError::Unreadable {
+            path: path.to_owned(),
+            error,
+        },
+    };
+    let mut lines = Vec::new();
+    if path.is_dir() {
+        for entry in fs::read_dir(path).map_err(unreadable)? {
+            lines.push(line(&entry.map_err(unreadable)?.path()).map_err(unreadable)?);
+        }
+    } else {
+        lines.push(line(path).map_err(unreadable)?);
+    }
+    lines.sort_unstable();
+    let hash = Sha256::digest(lines.join("\n"));
+    Ok(hash.iter().map(|byte| format!("{byte:02x}")).collect())
+}
+
+fn line(path: &Path) -> std::io::Result<String> {
+    let about = path.metadata()?;
+    let changed = about.modified()?.duration_since(UNIX_EPOCH);
+    Ok(format!(
+        "{:?} {} {}",
+        path.file_name().unwrap_or_default(),
+        about.len(),
+        changed.map_or(0, |since| since.as_nanos())
+    ))
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    #[test]
+    fn a_range_of_seeds_stands_for_one_drive_a_seed() {
+        assert_eq!(
+            drives("scene:sim?seed=9..11&seconds=5").unwrap(),
+            [
+                "scene:sim?seed=9&seconds=5",
+                "scene:sim?seed=10&seconds=5",
+                "scene:sim?seed=11&seconds=5"
+            ]
+        );
+        assert_eq!(drives("scene:sim?seed=9").unwrap(), ["scene:sim?seed=9"]);
+        assert_eq!(drives("a..b").unwrap(), ["a..b"]);
+        for wrong in [
+            "scene:sim?seed=3..1",
+            "scene:sim?seed=..",
+            "scene:sim?seed=0..99999",
+        ] {
+            assert!(drives(wrong).is_err(), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn drives_come_by_template_then_seed_and_are_named_by_ranges_again() {
+        let mut names = drives("scene:sim?seed=9..11&seconds=5").unwrap();
+        names.extend(["town10", "scene:game?seed=3", "town9", "scene:sim"].map(str::to_owned));
+        names.extend(drives("scene:sim?seed=1..2&seconds=5").unwrap());
+        names.reverse();
+        sort_drives(&mut names);
+        let named = ranges(&names);
+        assert_eq!(
+            named,
+            [
+                "scene:game?seed=3",
+                "scene:sim",
+                "scene:sim?seed=1..2&seconds=5",
+                "scene:sim?seed=9..11&seconds=5",
+                "town9",
+                "town10"
+            ]
+        );
+        let again: Vec<String> = named
+            .iter()
+            .flat_map(|name| drives(name).unwrap())
+            .collect();
+        assert_eq!(again, names);
+        assert_eq!(template(&names[2]), template(&names[3]));
+    }
+
+    #[test]
+    fn a_folder_whose_files_change_has_another_stamp() {
+        let folder = tempfile::tempdir().unwrap();
+        let name = folder.path().to_str().unwrap().to_owned();
+        fs::write(folder.path().join("a"), "1").unwrap();
+        let first = stamp(&name).unwrap();
+        assert_eq!(stamp(&name).unwrap(), first);
+        fs::write(folder.path().join("a"), "12").unwrap();
+        let second = stamp(&name).unwrap();
+        fs::rename(folder.path().join("a"), folder.path().join("b")).unwrap();
+        assert!(first != second && second != stamp(&name).unwrap());
+        assert_eq!(stamp("scene:sim").unwrap(), "");
+        assert!(stamp("no-such-file").is_err());
+    }
+}

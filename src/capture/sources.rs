@@ -1,0 +1,144 @@
+//! Names → sources: what a user types, opened.
+
+use std::sync::{Arc, OnceLock};
+
+#[cfg(feature = "camera")]
+use super::camera;
+use super::frame::{FrameSource, SourceError};
+use super::names::{FileName, file_name};
+use super::period::WantedPeriod;
+use super::wish::{CameraFacts, CameraWish};
+use super::{images, random, recording, video};
+
+/// Frames a second of a folder of images, unless its name says otherwise.
+pub const FOLDER_FPS: f64 = 10.0;
+
+/// The built-in drive: nominal for 20 s, fog of 60 m visibility to 40 s, nominal again to 60 s.
+pub const BUILT_IN_DRIVE: &str = "scene:sim?seed=7&seconds=60&fps=10&condition=fog:4@20-40";
+
+/// Opens a rendered drive by what stands behind `scene:`.
+type OpenScene = fn(&str) -> Result<Box<dyn FrameSource>, SourceError>;
+
+static SCENES: OnceLock<OpenScene> = OnceLock::new();
+
+/// From now on, [`open`] opens `scene:…` with this; the first one that is registered stays.
+pub fn register_scenes(open: OpenScene) {
+    let _ = SCENES.set(open);
+}
+
+/// Opens what a board names as its camera: `v4l2:/dev/videoN`, asked for what is wished, of which a frame every `period` is
+/// given at most; or any other source.
+///
+/// # Errors
+/// When there is no such camera, or as [`open`].
+#[cfg_attr(not(feature = "camera"), expect(unused_variables))]
+pub fn open_camera(
+    name: &str,
+    wish: &CameraWish,
+    period: Arc<WantedPeriod>,
+) -> Result<Box<dyn FrameSource>, SourceError> {
+    match name.strip_prefix("v4l2:") {
+        #[cfg(feature = "camera")]
+        Some(device) => Ok(Box::new(camera::CameraSource::open(device, wish, period)?)),
+        #[cfg(not(feature = "camera"))]
+        Some(_) => Err(no_camera(name)),
+        None => open(name),
+    }
+}
+
+/// Asks the camera `v4l2:/dev/videoN` about itself, without taking frames; `None` of any other source.
+///
+/// # Errors
+/// When there is no such camera, or this build has none.
+pub fn camera_facts(name: &str) -> Result<Option<CameraFacts>, SourceError> {
+    match name.strip_prefix("v4l2:") {
+        #[cfg(feature = "camera")]
+        Some(device) => camera::facts(device).map(Some),
+        #[cfg(not(feature = "camera"))]
+        Some(_) => Err(no_camera(name)),
+        None => Ok(None),
+    }
+}
+
+#[cfg(not(feature = "camera"))]
+fn no_camera(name: &str) -> SourceError {
+    SourceError::Name {
+        found: name.to_owned(),
+        wanted: "this build has no camera source (build with --features camera); wanted scene:…, random:…, a folder, an image, a recording or a video".to_owned(),
+    }
+}
+
+/// Opens a source by the name a user types: `scene:…`, `random:…`, a folder, an image, a recording or a video file.
+///
+/// # Errors
+/// When the name is not understood or nothing readable is behind it.
+pub fn open(name: &str) -> Result<Box<dyn FrameSource>, SourceError> {
+    if let Some(spec) = name.strip_prefix("scene:") {
+        let Some(open) = SCENES.get() else {
+            return Err(SourceError::Name {
+                found: name.to_owned(),
+                wanted: "this build has no rendered drives (build with --features lab); wanted random:…, a folder, an image, a recording or a video".to_owned(),
+            });
+        };
+        return open(spec);
+    }
+    if let Some(spec) = name.strip_prefix("random:") {
+        return Ok(Box::new(random::RandomSource::parse(name, spec)?));
+    }
+    let FileName { path, fps, topic } = file_name(name)?;
+    if path.is_dir() && topic.is_none() {
+        return Ok(Box::new(images::ImageSource::folder(
+            path,
+            fps.unwrap_or(FOLDER_FPS),
+        )?));
+    }
+    if !path.exists() {
+        return Err(SourceError::Missing(path.to_owned()));
+    }
+    let wrong = |wanted: &str| {
+        Err(SourceError::Name {
+            found: name.to_owned(),
+            wanted: wanted.to_owned(),
+        })
+    };
+    if fps.is_some() {
+        return wrong(
+            "?fps= is for folders of images; a video or recording has its own times, one image has none",
+        );
+    }
+    if path.is_file() && recording::is_recording(path) {
+        return Ok(Box::new(recording::RecordingSource::open(path, topic)?));
+    }
+    if topic.is_some() {
+        return wrong("?topic= is for MCAP recordings");
+    }
+    if images::is_image(path) {
+        return Ok(Box::new(images::ImageSource::single(path)));
+    }
+    Ok(Box::new(video::VideoSource::open(path)?))
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    #[test]
+    fn sources_that_cannot_be_opened_say_why() {
+        for (name, part) in [
+            ("no-such-folder", "no such file or folder"),
+            ("", "wanted scene:"),
+            (
+                "v4l2:/dev/video0",
+                "source = \"v4l2:/dev/video0\" in [camera]",
+            ),
+            ("/dev/video0", "source = \"v4l2:/dev/video0\" in [camera]"),
+            ("random:frames=0", "frames=1..100000"),
+            ("src?fps=0", "?fps="),
+            ("src", "no PNG or JPEG image"),
+        ] {
+            let said = open(name).err().unwrap().to_string();
+            assert!(said.contains(part), "{said}");
+        }
+    }
+}

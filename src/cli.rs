@@ -1,0 +1,167 @@
+//! One short file a command: wires a source, the chain and a sink.
+
+pub mod args;
+mod bench;
+mod calibrate;
+mod compare;
+pub mod counting;
+mod cpu_time;
+mod doctor;
+mod evaluate;
+mod inspect;
+mod live;
+pub mod logging;
+mod merge;
+mod monitor;
+mod new_folder;
+mod package_files;
+mod pictures;
+mod progress;
+mod recipe;
+mod replay;
+mod report;
+mod scene;
+mod service;
+mod signals;
+
+use std::io::Write;
+use std::path::Path;
+
+use anyhow::bail;
+use gapwatch::calibration::survey::{Keep, Survey, SurveyError};
+use gapwatch::capture::open;
+use gapwatch::model::encoder::{Encoder, Executor};
+use gapwatch::model::{ModelOptions, ModelSpec};
+use gapwatch::monitor::alarm::AlarmState;
+use gapwatch::monitor::judge::Verdict;
+use gapwatch::record::evidence::Kept;
+use gapwatch::reference::ModelFingerprint;
+use rayon::prelude::*;
+
+use crate::cli::args::{Command, ModelArgs};
+
+/// Runs a command; the result is the exit code.
+pub fn run(command: Command, out: &mut dyn Write) -> anyhow::Result<u8> {
+    match command {
+        Command::Replay(args) => replay::run(&args, out),
+        Command::Monitor(args) => monitor::run(&args, out),
+        Command::Calibrate(args) => calibrate::run(&args, out),
+        Command::Merge(args) => merge::run(&args, out),
+        Command::Compare(args) => compare::run(&args, out),
+        Command::Scene(args) => scene::run(&args, out),
+        Command::Inspect(args) => inspect::run(&args, out),
+        Command::Evaluate(args) => evaluate::run(&args, out),
+        Command::Report(args) => report::run(&args, out),
+        Command::Bench(args) => bench::run(&args, out),
+        Command::Doctor(args) => doctor::run(&args, out),
+        Command::PackageFiles(args) => package_files::run(&args, out),
+    }
+}
+
+/// Most frames that are held in memory at once, of all sources that are compared or of one drive that is calibrated: about
+/// 25 KB a frame of the built-in model with its energy maps, or 4 KB of means alone.
+const fn frames_max(keep: Keep) -> u64 {
+    match keep {
+        Keep::Maps => 100_000,
+        Keep::Means => 600_000,
+    }
+}
+
+/// A loaded model with all that belongs to it.
+struct Model {
+    spec: ModelSpec,
+    encoder: Encoder,
+    fingerprint: ModelFingerprint,
+}
+
+impl Model {
+    fn load(args: &ModelArgs) -> anyhow::Result<Self> {
+        Self::load_in(args, Executor::default())
+    }
+
+    fn load_in(args: &ModelArgs, executor: Executor) -> anyhow::Result<Self> {
+        Self::of_spec(
+            ModelSpec::new(args.model.as_deref(), args.options())?,
+            executor,
+        )
+    }
+
+    fn load_file(file: Option<&Path>, options: ModelOptions) -> anyhow::Result<Self> {
+        Self::of_spec(ModelSpec::new(file, options)?, Executor::default())
+    }
+
+    fn load_spec(spec: &ModelSpec) -> anyhow::Result<Self> {
+        Self::of_spec(spec.clone(), Executor::default())
+    }
+
+    fn of_spec(spec: ModelSpec, executor: Executor) -> anyhow::Result<Self> {
+        let encoder = Encoder::load_in(&spec, executor)?;
+        let fingerprint = ModelFingerprint::new(&spec, &encoder);
+        Ok(Self {
+            spec,
+            encoder,
+            fingerprint,
+        })
+    }
+
+    /// Looks at whole sources, several at a time; a source that cannot be opened fails before any is looked at.
+    fn survey(&self, sources: &[String], keep: Keep, what: &str) -> anyhow::Result<Vec<Survey>> {
+        let counts = sources
+            .iter()
+            .map(|name| Ok(open(name)?.frame_count()))
+            .collect::<anyhow::Result<Vec<_>>>()?;
+        let count: Option<u64> = counts.into_iter().sum();
+        let most = frames_max(keep);
+        if let Some(count) = count.filter(|&count| count > most) {
+            bail!(
+                "{count} frames in all; wanted at most {most}: take fewer or shorter drives, or a lower fps"
+            );
+        }
+        let bar = progress::frames(count, what);
+        let surveys = sources
+            .par_iter()
+            .map(|name| {
+                Survey::of(name, &self.encoder, &self.spec.preprocessing, keep, &|| {
+                    bar.inc(1)
+                })
+            })
+            .collect::<Result<Vec<_>, SurveyError>>()?;
+        bar.finish_and_clear();
+        Ok(surveys)
+    }
+}
+
+/// One line for people about a change of state.
+fn state_line(verdict: &Verdict) -> String {
+    let mut line = format!(
+        "{:8.1} s  {:<11}",
+        verdict.at.as_secs_f64(),
+        verdict.state.name()
+    );
+    match (verdict.state, &verdict.undefined, verdict.score) {
+        (_, Some(why), _) => line += &format!("  {}: {why}", verdict.reason.name()),
+        (AlarmState::Init, _, _) => line += "  starting",
+        (_, None, Some(score)) => {
+            // No minus sign before a score that rounds to nothing.
+            let hundredths = (100.0 * score).round() + 0.0;
+            line += &format!("  score {:.2}", hundredths / 100.0);
+        }
+        (_, None, None) => line += &format!("  {}", verdict.reason.name()),
+    }
+    line
+}
+
+/// One line for people about the evidence of a run.
+fn tell_evidence(kept: Kept, out: &mut dyn Write) -> std::io::Result<()> {
+    write!(out, "evidence: {} events written", kept.events)?;
+    for (count, what) in [
+        (kept.removed, "older ones removed"),
+        (kept.failed, "could not be written"),
+        (kept.dropped_frames, "frames left out"),
+    ] {
+        if count > 0 {
+            write!(out, ", {count} {what}")?;
+        }
+    }
+    writeln!(out)
+}

@@ -1,0 +1,84 @@
+//! Rendered pictures → the buffers that a camera would fill with them.
+
+use anyhow::Context;
+use gapwatch::capture::Picture;
+use gapwatch::capture::pixels::{Layout, PixelFormat};
+use image::codecs::jpeg::JpegEncoder;
+
+/// Quality of JPEG images, of 100: what cameras send.
+const JPEG_QUALITY: u8 = 85;
+
+/// A buffer with its layout.
+pub fn buffer_of(picture: &Picture, format: PixelFormat) -> anyhow::Result<(Layout, Vec<u8>)> {
+    let layout = Layout {
+        format,
+        width: picture.width,
+        height: picture.height,
+        stride: 0,
+    };
+    let bytes = match format {
+        PixelFormat::Rgb3 => picture.rgb.clone(),
+        PixelFormat::Bgr3 => {
+            let pixels = picture.rgb.chunks_exact(3);
+            pixels.flat_map(|rgb| [rgb[2], rgb[1], rgb[0]]).collect()
+        }
+        PixelFormat::Yuyv => rows(picture).flat_map(yuyv).collect(),
+        PixelFormat::Nv12 => {
+            let luma = picture.rgb.chunks_exact(3).map(|rgb| yuv(rgb)[0]);
+            let colour_rows = rows(picture).step_by(2);
+            let colour = colour_rows.flat_map(|row| {
+                let pairs = yuyv(row);
+                pairs
+                    .chunks_exact(4)
+                    .flat_map(|p| [p[1], p[3]])
+                    .collect::<Vec<u8>>()
+            });
+            luma.chain(colour).collect()
+        }
+        PixelFormat::Mjpg => {
+            let mut jpeg = Vec::new();
+            JpegEncoder::new_with_quality(&mut jpeg, JPEG_QUALITY)
+                .encode(
+                    &picture.rgb,
+                    picture.width,
+                    picture.height,
+                    image::ExtendedColorType::Rgb8,
+                )
+                .context("a picture cannot be made a JPEG image")?;
+            jpeg
+        }
+    };
+    Ok((layout, bytes))
+}
+
+fn rows(picture: &Picture) -> impl Iterator<Item = &[u8]> {
+    picture
+        .rgb
+        .chunks_exact(3 * (picture.width as usize).max(1))
+}
+
+/// Two neighbours share the colour of the left one.
+fn yuyv(row: &[u8]) -> Vec<u8> {
+    let pixels: Vec<[u8; 3]> = row.chunks_exact(3).map(yuv).collect();
+    let pairs = pixels.chunks(2);
+    pairs
+        .flat_map(|pair| {
+            let [left, right] = [pair[0], pair[pair.len() - 1]];
+            [left[0], left[1], right[0], left[2]]
+        })
+        .collect()
+}
+
+/// BT.601 of limited range.
+#[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)]
+fn yuv(rgb: &[u8]) -> [u8; 3] {
+    let [r, g, b] = [rgb[0], rgb[1], rgb[2]].map(f64::from);
+    let luma = 0.299 * r + 0.587 * g + 0.114 * b;
+    let byte = |value: f64| value.round().clamp(0.0, 255.0) as u8;
+    let colour = |away: f64, widest: f64| byte(128.0 + away * 112.0 / 255.0 / widest);
+    [
+        byte(16.0 + luma * 219.0 / 255.0),
+        colour(b - luma, 0.886),
+        colour(r - luma, 0.701),
+    ]
+}

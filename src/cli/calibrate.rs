@@ -1,0 +1,143 @@
+//! `gapwatch calibrate`: nominal sources → reference file.
+
+use std::io::Write;
+use std::path::Path;
+
+use anyhow::{Context, bail};
+use gapwatch::calibration::Wanted;
+use gapwatch::calibration::shard::Shard;
+use gapwatch::calibration::survey::store::SurveyStore;
+use gapwatch::capture::drives;
+use gapwatch::reference::gap::Metric;
+use gapwatch::reference::{NominalDrives, Reference, Role};
+use gapwatch::statistics::event_rate::{Hours, Loudness, ThreeDigits};
+
+use super::Model;
+use super::recipe::Recipe;
+use crate::cli::args::CalibrateArgs;
+
+pub fn run(args: &CalibrateArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
+    if args.metric == Metric::Frechet {
+        bail!("--metric frechet compares whole sets; wanted a metric that judges a window");
+    }
+    let roles = [
+        (Role::Simulation, &args.sim),
+        (Role::Accepted, &args.accept),
+        (Role::HeldOut, &args.held_out),
+        (Role::Labelled, &args.labelled),
+    ];
+    let mut sources = Vec::new();
+    for (role, names) in roles {
+        for name in names {
+            sources.extend(drives(name)?.into_iter().map(|drive| (role, drive)));
+        }
+    }
+    if sources.is_empty() {
+        bail!("no drive; wanted --sim, --accept, --held-out or --labelled");
+    }
+    let wanted = Wanted {
+        metric: args.metric,
+        window_s: args.window,
+        false_alarms_per_hour: args.false_alarms_per_hour,
+    };
+    let model = Model::load(&args.model)?;
+    let recipe = Recipe::new(model.fingerprint.clone(), wanted, sources)?;
+    if !args.shard {
+        recipe.check_whole()?;
+    }
+    let store = match &args.surveys {
+        Some(folder) => SurveyStore::open(folder, &model.fingerprint)?,
+        None => SurveyStore::temporary(&model.fingerprint)?,
+    };
+    let mut found = recipe.find(&store, Some(&model.spec))?;
+    recipe.look(&mut found, &model, &store)?;
+    if args.shard {
+        let sources = recipe.sources(&found)?;
+        let (drives, frames) = (
+            sources.len(),
+            sources.iter().map(|of| of.frames).sum::<u64>(),
+        );
+        Shard::new(model.fingerprint, wanted, sources).write(&args.out)?;
+        writeln!(
+            out,
+            "{}: shard of {drives} drives, {frames} frames, without thresholds: for gapwatch merge",
+            args.out.display()
+        )?;
+        return Ok(0);
+    }
+    let reference = recipe.reference(found)?;
+    reference
+        .write(&args.out)
+        .context("cannot write the reference")?;
+    describe(&reference, &args.out, out)?;
+    Ok(0)
+}
+
+/// What a reference says, for people; `file` is where it was written.
+pub fn describe(reference: &Reference, file: &Path, out: &mut dyn Write) -> anyhow::Result<()> {
+    let frames = |of: fn(&gapwatch::reference::SourceUse) -> u64| {
+        reference.provenance.sources.iter().map(of).sum::<u64>()
+    };
+    writeln!(
+        out,
+        "{}: {} on {} sources, {} frames fitted, {} held out; {}",
+        file.display(),
+        reference.metric,
+        reference.provenance.sources.len(),
+        frames(|s| s.fitted),
+        frames(|s| s.held_out),
+        if reference.strict {
+            "strict: simulation alone is nominal".to_owned()
+        } else {
+            format!("{} nominal domains", reference.components.len())
+        }
+    )?;
+    for component in &reference.components {
+        for tap in &component.taps {
+            let (median, threshold) = tap.scale_for(10);
+            writeln!(
+                out,
+                "  {}, {}: median peak energy {:.4}, windows of 10 frames: median {median:.5}, threshold {threshold:.5}",
+                component.name, tap.tap, tap.median_peak_energy
+            )?;
+        }
+    }
+    let said = |on: &NominalDrives| {
+        let counted = format!(
+            "{} entries in {} of {} drives",
+            on.entries,
+            Hours(on.hours),
+            on.drives
+        );
+        if on.hours > 0.0 {
+            let (low, high) = (ThreeDigits(on.per_hour.0), ThreeDigits(on.per_hour.1));
+            format!("{counted}, {low} to {high} an hour (95 %)")
+        } else {
+            "no drive that could be judged".to_owned()
+        }
+    };
+    let alarms = &reference.false_alarms;
+    writeln!(
+        out,
+        "  false alarms: {} an hour wanted; set on {}",
+        alarms.wanted_per_hour,
+        said(&alarms.chosen_on)
+    )?;
+    if let Some(on) = &alarms.judged_on {
+        writeln!(out, "  judged on {}", said(on))?;
+    }
+    writeln!(out, "  {}", alarms.said())?;
+    match alarms.loudness() {
+        Loudness::Louder => log::warn!(
+            "{}: false alarms are {}; {} an hour wanted",
+            file.display(),
+            alarms.said(),
+            alarms.wanted_per_hour
+        ),
+        Loudness::NotShown { .. } => {
+            writeln!(out, "  every fourth drive of --held-out judges")?;
+        }
+        Loudness::NotLouder => {}
+    }
+    Ok(())
+}

@@ -1,0 +1,237 @@
+//! `gapwatch doctor`: whether a computer can do what its board file asks, and what to do where it cannot.
+//!
+//! One check after the other, in the order of the chain; what needs something that failed before is left out, with the
+//! reason. Refuses to send: a bus is only listened to.
+
+mod budget;
+mod bus;
+mod camera;
+mod clock;
+mod folders;
+
+use std::io::Write;
+
+use anyhow::bail;
+use gapwatch::live::board::Board;
+use gapwatch::model::ModelOptions;
+use gapwatch::reference::Reference;
+use gapwatch::statistics::event_rate::Loudness;
+use serde::Serialize;
+
+use super::Model;
+use super::monitor::{periods, read_reference};
+use crate::cli::args::{DoctorArgs, TableFormat};
+
+/// What one check found.
+#[derive(Serialize)]
+struct Check {
+    check: &'static str,
+    result: Outcome,
+    found: String,
+    /// What mends it; `None` where there is nothing to mend.
+    #[serde(rename = "do")]
+    remedy: Option<String>,
+}
+
+#[derive(Clone, Copy, PartialEq, Serialize)]
+enum Outcome {
+    #[serde(rename = "pass")]
+    Pass,
+    #[serde(rename = "warn")]
+    Warn,
+    #[serde(rename = "fail")]
+    Fail,
+    #[serde(rename = "left out")]
+    LeftOut,
+}
+
+impl Outcome {
+    fn name(self) -> &'static str {
+        match self {
+            Self::Pass => "pass",
+            Self::Warn => "warn",
+            Self::Fail => "fail",
+            Self::LeftOut => "left out",
+        }
+    }
+}
+
+impl Check {
+    fn pass(check: &'static str, found: impl Into<String>) -> Self {
+        Self {
+            check,
+            result: Outcome::Pass,
+            found: found.into(),
+            remedy: None,
+        }
+    }
+
+    /// It works, but something should be known or done.
+    fn warn(check: &'static str, found: impl Into<String>, remedy: impl Into<String>) -> Self {
+        Self {
+            result: Outcome::Warn,
+            ..Self::fail(check, found, remedy)
+        }
+    }
+
+    fn fail(check: &'static str, found: impl Into<String>, remedy: impl Into<String>) -> Self {
+        Self {
+            check,
+            result: Outcome::Fail,
+            found: found.into(),
+            remedy: Some(remedy.into()),
+        }
+    }
+
+    fn left_out(check: &'static str, why: impl Into<String>) -> Self {
+        Self {
+            check,
+            result: Outcome::LeftOut,
+            found: why.into(),
+            remedy: None,
+        }
+    }
+}
+
+pub fn run(args: &DoctorArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
+    let checks = examine(args);
+    match args.format {
+        TableFormat::Json => writeln!(out, "{}", serde_json::to_string_pretty(&checks)?)?,
+        TableFormat::Table => table(&checks, out)?,
+    }
+    let failed: Vec<&str> = (checks.iter())
+        .filter(|check| check.result == Outcome::Fail)
+        .map(|check| check.check)
+        .collect();
+    if !failed.is_empty() {
+        out.flush()?;
+        bail!(
+            "{}: {} of {} checks fail: {}; what to do stands beside each",
+            args.board.display(),
+            failed.len(),
+            checks.len(),
+            failed.join(", ")
+        );
+    }
+    Ok(0)
+}
+
+fn examine(args: &DoctorArgs) -> Vec<Check> {
+    let board = match Board::read(&args.board) {
+        Ok(board) => board,
+        Err(error) => {
+            let remedy = "mend the board file; boards/README.md has its words";
+            return vec![Check::fail("board", error.to_string(), remedy)];
+        }
+    };
+    let mut checks = vec![Check::pass("board", args.board.display().to_string())];
+    let (model, check) = model(&board);
+    checks.push(check);
+    let (reference, check) = reference(&board, args, model.as_ref());
+    checks.push(check);
+    let (frames, check) = camera::check(&board);
+    checks.push(check);
+    checks.extend(bus::check(&board));
+    checks.extend(match (model.as_ref().zip(reference.as_ref()), &frames) {
+        (None, _) => vec![Check::left_out("budget", "no model and reference to run")],
+        (_, None) => vec![Check::left_out("budget", "no frame to run")],
+        (Some((model, reference)), Some(taken)) => budget::check(&board, model, reference, taken),
+    });
+    checks.push(clock::check());
+    checks.push(folders::check(
+        "journal",
+        args.journal.as_deref(),
+        &args.board,
+    ));
+    let evidence = board.evidence.as_ref().map(|kept| kept.folder.as_path());
+    let evidence = args.evidence.as_deref().or(evidence);
+    checks.push(folders::check("evidence", evidence, &args.board));
+    checks
+}
+
+fn model(board: &Board) -> (Option<Model>, Check) {
+    match Model::load_file(board.monitor.model.as_deref(), ModelOptions::default()) {
+        Ok(model) => {
+            let of = &model.spec.preprocessing;
+            let found = format!(
+                "{}, {}x{}, taps {}, run by {}",
+                model.spec.name,
+                of.width,
+                of.height,
+                model.spec.taps.join(", "),
+                model.encoder.executor()
+            );
+            (Some(model), Check::pass("model", found))
+        }
+        Err(error) => {
+            let remedy = "name an ONNX file with a .toml beside it as model in [monitor], or none for the built-in one";
+            (None, Check::fail("model", format!("{error:#}"), remedy))
+        }
+    }
+}
+
+/// Also when the model does not load the file is read, so that both are told at once.
+fn reference(
+    board: &Board,
+    args: &DoctorArgs,
+    model: Option<&Model>,
+) -> (Option<Reference>, Check) {
+    let name = board.monitor.reference.as_deref();
+    let name = name.map_or_else(|| "built-in".to_owned(), |path| path.display().to_string());
+    let reference = match read_reference(board, &args.board) {
+        Ok(reference) => reference,
+        Err(error) => {
+            let remedy = "calibrate one (gapwatch calibrate --accept), name it, and say in [monitor] whether it is strict";
+            return (None, Check::fail("reference", format!("{error:#}"), remedy));
+        }
+    };
+    if let Err(error) = periods(board, &reference, &args.board) {
+        let remedy = "a higher idle_rate_hz in [monitor], or a reference with longer windows";
+        return (None, Check::fail("reference", format!("{error:#}"), remedy));
+    }
+    let Some(model) = model else {
+        let why = format!("{name} is whole; no model to compare it with");
+        return (None, Check::left_out("reference", why));
+    };
+    if let Err(error) = reference.check_fits(&name, &model.fingerprint) {
+        let remedy = "name the model that it was made with, or calibrate one for this model";
+        return (None, Check::fail("reference", error.to_string(), remedy));
+    }
+    let strict = if reference.strict {
+        "strict: any real road is a gap to it"
+    } else {
+        "with accepted roads"
+    };
+    let alarms = &reference.false_alarms;
+    let found = format!(
+        "{name}, {}, {strict}, made for {} false alarms an hour, {}",
+        reference.metric,
+        alarms.wanted_per_hour,
+        alarms.said()
+    );
+    let check = match alarms.loudness() {
+        Loudness::NotLouder => Check::pass("reference", found),
+        Loudness::NotShown { .. } => Check::warn(
+            "reference",
+            found,
+            "calibrate one with more nominal drives as --held-out, of which every fourth judges; until then nobody knows how often it warns without a reason",
+        ),
+        Loudness::Louder => Check::fail(
+            "reference",
+            found,
+            "calibrate one with more nominal drives of every kind of road as --held-out, and --accept the roads that it is loud on",
+        ),
+    };
+    (Some(reference), check)
+}
+
+fn table(checks: &[Check], out: &mut dyn Write) -> std::io::Result<()> {
+    for check in checks {
+        let result = check.result.name();
+        writeln!(out, "{result:<9} {:<10} {}", check.check, check.found)?;
+        if let Some(remedy) = &check.remedy {
+            writeln!(out, "{:<21}do: {remedy}", "")?;
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,102 @@
+//! What a frame costs here, against what the board allows.
+
+use std::time::Duration;
+
+use gapwatch::live::board::Board;
+use gapwatch::monitor::pipeline::Monitor;
+use gapwatch::reference::Reference;
+
+use super::super::Model;
+use super::super::bench::{chain_times, ms, quantile, resident_mib};
+use super::Check;
+use super::camera::Taken;
+
+/// Longest measurement.
+const MEASURE: Duration = Duration::from_secs(2);
+
+pub fn check(board: &Board, model: &Model, reference: &Reference, taken: &Taken) -> Vec<Check> {
+    let mut checks = Vec::new();
+    match judged(model, reference, taken) {
+        Err(error) => {
+            let remedy = "see what the model needs: gapwatch bench --model FILE";
+            return vec![Check::fail("budget", format!("{error:#}"), remedy)];
+        }
+        Ok((judged, None)) => checks.push(Check::pass(
+            "picture",
+            format!("{judged} of {} frames can be judged", taken.frames.len()),
+        )),
+        Ok((_, Some(why))) => {
+            let remedy =
+                "see that the lens is free and lit, and that the board names the right camera";
+            return vec![
+                Check::fail("picture", why, remedy),
+                Check::left_out("budget", "no frame that can be judged"),
+            ];
+        }
+    }
+    checks.push(time(board, model, reference, taken));
+    checks.push(memory(board));
+    checks
+}
+
+/// How many frames can be judged, and what is wrong with the last or with most of them: a camera needs a moment to see.
+fn judged(
+    model: &Model,
+    reference: &Reference,
+    taken: &Taken,
+) -> anyhow::Result<(usize, Option<String>)> {
+    let mut monitor = Monitor::new(&model.encoder, reference)?;
+    let steps = taken.frames.iter().map(|frame| monitor.step(frame));
+    let faults: Vec<_> = steps.map(|verdict| verdict.undefined).collect();
+    let judged = faults.iter().filter(|fault| fault.is_none()).count();
+    let latest = faults.iter().rev().flatten().next();
+    let last_fails = faults.last().is_some_and(Option::is_some);
+    let why = latest.filter(|_| last_fails || 2 * judged < faults.len());
+    Ok((judged, why.map(ToString::to_string)))
+}
+
+fn time(board: &Board, model: &Model, reference: &Reference, taken: &Taken) -> Check {
+    let times = match chain_times(model, reference, &taken.frames, MEASURE) {
+        Ok(times) => times,
+        Err(error) => {
+            let remedy = "see that the lens is free and lit";
+            return Check::fail("budget", format!("{error:#}"), remedy);
+        }
+    };
+    let taking = taken.cpu.unwrap_or_default();
+    let [median, late] = [50, 99].map(|percent| taking + quantile(times.clone(), percent));
+    let allowed = board.budget.frame;
+    let found = format!(
+        "{:.1} ms a frame, {:.1} ms at 99 %, of them {} to take and convert it; {:.1} ms allowed at {} a second",
+        ms(median),
+        ms(late),
+        taken.cpu.map_or_else(
+            || "an unknown time".to_owned(),
+            |cpu| format!("{:.1} ms", ms(cpu))
+        ),
+        ms(allowed),
+        board.monitor.rate_hz
+    );
+    if late > allowed {
+        let remedy = "lower rate_hz in [monitor] or size in [camera], take a smaller model, or see what else runs (top)";
+        return Check::fail("budget", found, remedy);
+    }
+    Check::pass("budget", found)
+}
+
+/// With the frames of this check, which the monitor does not hold; so it is no less than the monitor's.
+fn memory(board: &Board) -> Check {
+    let allowed = board.budget.memory_mib;
+    match resident_mib() {
+        Err(error) => Check::left_out("memory", format!("{error:#}")),
+        Ok(used) if used > allowed => Check::fail(
+            "memory",
+            format!("{used:.0} MiB resident; {allowed:.0} MiB allowed"),
+            "allow more (memory_mib in [budget]), or take a smaller model or size",
+        ),
+        Ok(used) => Check::pass(
+            "memory",
+            format!("{used:.0} MiB resident; {allowed:.0} MiB allowed"),
+        ),
+    }
+}

@@ -1,0 +1,176 @@
+//! Whether frames come, in what form and how often.
+
+use std::fs::OpenOptions;
+use std::io::ErrorKind;
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
+use std::time::{Duration, Instant};
+
+use gapwatch::capture::period::WantedPeriod;
+use gapwatch::capture::{Frame, FrameSource, SourceError, camera_facts, open_camera};
+use gapwatch::live::board::Board;
+
+use super::super::cpu_time::cpu_time;
+use super::Check;
+
+/// Frames that are taken.
+const FRAMES: usize = 11;
+/// How long they are waited for, and for how many times the board's time between frames if that is longer: a camera may
+/// need a second to start.
+const PATIENCE: Duration = Duration::from_secs(4);
+const PERIODS: f64 = 15.0;
+/// Frames may come this much slower than is asked for: cameras keep a rate of their own.
+const RATE_SHARE: f64 = 0.8;
+
+/// Frames that came.
+pub struct Taken {
+    pub frames: Vec<Frame>,
+    /// CPU time that taking and converting one cost, median; `None` where the system does not tell.
+    pub cpu: Option<Duration>,
+    /// Of the frames: how many a second came.
+    rate_hz: f64,
+}
+
+struct Given {
+    frame: Result<Option<Frame>, SourceError>,
+    cpu: Option<Duration>,
+}
+
+pub fn check(board: &Board) -> (Option<Taken>, Check) {
+    let name = &board.camera.source;
+    let rate_hz = board.monitor.rate_hz;
+    let fail = |why: String| (None, Check::fail("camera", why, remedy(name)));
+    let period = Arc::new(WantedPeriod::new(Duration::from_secs_f64(1.0 / rate_hz)));
+    let source = match open_camera(name, &board.camera.wish, period) {
+        Ok(source) => source,
+        Err(error) => return fail(error.to_string()),
+    };
+    let live = source.is_live();
+    let facts = match camera_facts(name) {
+        Ok(facts) => facts,
+        Err(error) => return fail(error.to_string()),
+    };
+    let said = facts.map_or_else(
+        || name.clone(),
+        |facts| {
+            let offers = facts.formats.join(", ");
+            format!(
+                "{name}: {}, set to {}, offers {offers}",
+                facts.name, facts.set_to
+            )
+        },
+    );
+    let patience = PATIENCE.max(Duration::from_secs_f64(PERIODS / rate_hz));
+    let taken = match take(source, patience) {
+        Ok(taken) => taken,
+        Err(why) => return fail(format!("{said}: {why}")),
+    };
+    if let Some(error) = taken.frames.iter().find_map(|f| f.picture.as_ref().err()) {
+        return fail(format!("{said}: {error}"));
+    }
+    if !live {
+        let found = format!("{said}: a recorded or rendered drive, shown at its own pace");
+        return (Some(taken), Check::pass("camera", found));
+    }
+    let rate = taken.rate_hz;
+    let found = format!("{said}; {rate:.1} of the wanted {rate_hz} frames a second");
+    if rate < RATE_SHARE * rate_hz {
+        let remedy = "ask for another format, a smaller size or a higher fps in [camera], give it more light, or lower rate_hz in [monitor]";
+        return (Some(taken), Check::fail("camera", found, remedy));
+    }
+    (Some(taken), Check::pass("camera", found))
+}
+
+/// Takes frames on a thread that nobody waits for: a camera may not answer.
+#[allow(clippy::cast_precision_loss)]
+fn take(source: Box<dyn FrameSource>, patience: Duration) -> Result<Taken, String> {
+    let (sender, given) = channel();
+    let until = Instant::now() + patience;
+    std::thread::spawn(move || give(source, &sender));
+    let (mut frames, mut cpu) = (Vec::new(), Vec::new());
+    let mut in_time = true;
+    while frames.len() < FRAMES {
+        match given.recv_timeout(until.saturating_duration_since(Instant::now())) {
+            Ok(Given {
+                frame: Ok(Some(frame)),
+                cpu: took,
+            }) => {
+                frames.push(frame);
+                cpu.push(took);
+            }
+            Ok(Given { frame: Err(e), .. }) => return Err(e.to_string()),
+            Ok(Given { .. }) | Err(RecvTimeoutError::Disconnected) => break,
+            Err(RecvTimeoutError::Timeout) => {
+                in_time = false;
+                break;
+            }
+        }
+    }
+    if frames.is_empty() {
+        return Err(format!("no frame within {:.0} s", patience.as_secs_f64()));
+    }
+    let mut cpu: Option<Vec<Duration>> = cpu.into_iter().collect();
+    let cpu = cpu.as_mut().and_then(|cpu| {
+        cpu.sort_unstable();
+        cpu.get(cpu.len() / 2).copied()
+    });
+    // One that stalls is as slow as all the time that was waited for it.
+    let rate_hz = if in_time {
+        rate_of(&frames)
+    } else {
+        frames.len() as f64 / patience.as_secs_f64()
+    };
+    Ok(Taken {
+        frames,
+        cpu,
+        rate_hz,
+    })
+}
+
+fn give(mut source: Box<dyn FrameSource>, sender: &Sender<Given>) {
+    loop {
+        let before = cpu_time();
+        let frame = source.next_frame();
+        let cpu = before
+            .zip(cpu_time())
+            .map(|(before, after)| after.saturating_sub(before));
+        let more = matches!(frame, Ok(Some(_)));
+        if sender.send(Given { frame, cpu }).is_err() || !more {
+            return;
+        }
+    }
+}
+
+/// Frames a second between the first and the last.
+#[allow(clippy::cast_precision_loss)]
+fn rate_of(frames: &[Frame]) -> f64 {
+    match frames {
+        [first, .., last] => {
+            let span = last.captured_at.saturating_sub(first.captured_at);
+            (frames.len() - 1) as f64 / span.as_secs_f64().max(1e-3)
+        }
+        _ => 0.0,
+    }
+}
+
+fn remedy(source: &str) -> String {
+    let Some(device) = source.strip_prefix("v4l2:") else {
+        return "name a camera, v4l2:/dev/videoN, or a drive as source in [camera]".to_owned();
+    };
+    let opened = OpenOptions::new().read(true).write(true).open(device);
+    match opened.map_err(|error| error.kind()) {
+        Err(ErrorKind::NotFound) if !Path::new("/dev/video0").exists() => {
+            "plug the camera in, or load its driver: there is no /dev/video0".to_owned()
+        }
+        Err(ErrorKind::NotFound) => {
+            "take another /dev/videoN: v4l2-ctl --list-devices shows whose they are".to_owned()
+        }
+        Err(ErrorKind::PermissionDenied) => {
+            format!("let this user into the group of {device}, as in: usermod -a -G video USER")
+        }
+        _ => format!(
+            "see that nobody else has it (fuser {device}; the running monitor has), and what it offers: v4l2-ctl -d {device} --list-formats-ext"
+        ),
+    }
+}

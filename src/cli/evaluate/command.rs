@@ -1,0 +1,85 @@
+//! The command that makes the results of a key again, on any machine.
+
+use std::path::Path;
+
+use gapwatch::lab::evaluation::{SCENE_SET, domain_detection, false_alarms};
+use gapwatch::lab::scene::Look;
+
+use super::results::Made;
+use super::{field_sets, lane_failure, paper_table, speed_error};
+use crate::cli::args::{EvaluateArgs, EvaluateKey};
+
+/// How the folder of image sets is named, wherever it lies.
+const FIELD: &str = "--field \"$GAPWATCH_FIELD\"";
+
+/// How the results of a key are made.
+pub fn made(key: EvaluateKey, args: &EvaluateArgs) -> Made {
+    let seeds = match key {
+        EvaluateKey::LaneIou => format!("scene set {SCENE_SET}"),
+        EvaluateKey::DomainDetection => {
+            format!("drives {} and on", domain_detection::FIRST_SEED)
+        }
+        EvaluateKey::FalseAlarms => format!("drives {} and on", false_alarms::FIRST_SEED),
+        EvaluateKey::LaneFailure => lane_failure::seeds(args.quick),
+        EvaluateKey::SpeedError => speed_error::seeds(args.quick),
+        EvaluateKey::FieldSets => field_sets::seeds(args.quick),
+        EvaluateKey::PaperTable => paper_table::seeds(args.quick),
+    };
+    Made {
+        command: command(key, args),
+        gapwatch: env!("CARGO_PKG_VERSION").to_owned(),
+        seeds,
+    }
+}
+
+fn command(key: EvaluateKey, args: &EvaluateArgs) -> String {
+    let mut words = vec![format!("gapwatch evaluate --only {}", key.name())];
+    if !args.model.is_empty() {
+        let models: Vec<String> = args.model.iter().map(|path| portable(path)).collect();
+        words.push(format!("--model {}", models.join(" ")));
+    }
+    if args.quick {
+        words.push("--quick".to_owned());
+    }
+    let number = |name: &str, value: Option<u32>| value.map(|value| format!("--{name} {value}"));
+    words.extend(match key {
+        EvaluateKey::LaneIou => number("scenes", args.scenes),
+        EvaluateKey::DomainDetection => number("drives", args.drives),
+        EvaluateKey::FalseAlarms => number("hours", args.hours),
+        EvaluateKey::LaneFailure | EvaluateKey::SpeedError => None,
+        EvaluateKey::FieldSets => Some(FIELD.to_owned()),
+        EvaluateKey::PaperTable => args.field.as_ref().map(|_| FIELD.to_owned()),
+    });
+    if matches!(key, EvaluateKey::DomainDetection | EvaluateKey::FalseAlarms) {
+        if let Some(path) = &args.reference {
+            words.push(format!("--reference {}", portable(path)));
+        }
+        if args.look != Look::Sim {
+            words.push(format!("--look {}", args.look));
+        }
+    }
+    if let Some(path) = &args.out {
+        words.push(format!("--out {}", portable(path)));
+    }
+    words.join(" ")
+}
+
+/// A path that means the same on another machine: as typed when it is below the working folder, otherwise its last part.
+pub fn portable(path: &Path) -> String {
+    let below = path.is_relative() && !path.starts_with("..");
+    let part = path.file_name().map(Path::new).filter(|_| !below);
+    part.unwrap_or(path).display().to_string()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn paths_of_one_machine_are_left_out() {
+        let said = |path: &str| portable(Path::new(path));
+        assert_eq!(said("calibration/sim.json"), "calibration/sim.json");
+        assert_eq!(said("/home/me/r.json"), "r.json");
+        assert_eq!(said("../r.json"), "r.json");
+    }
+}

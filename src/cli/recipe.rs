@@ -1,0 +1,455 @@
+//! What a reference is made of: drives by role, in an order of their own, and what the encoder saw of them.
+
+use std::borrow::Cow;
+use std::collections::HashSet;
+
+use anyhow::{Context, bail};
+use gapwatch::calibration::shard::ShardSource;
+use gapwatch::calibration::survey::store::{Content, Kept, StoreError, Stored, SurveyStore};
+use gapwatch::calibration::survey::{Keep, Survey};
+use gapwatch::calibration::{
+    Calibrated, Domain, Drive, LabelledDrive, LabelledMeans, Wanted, calibrate, looks,
+};
+use gapwatch::capture::{open, ranges, sort_drives, stamp, template};
+use gapwatch::lab::labelled::frames_of;
+use gapwatch::lab::scene::DriveSpec;
+use gapwatch::model::encoder::Encoder;
+use gapwatch::model::preprocess::CROP_NOTHING;
+use gapwatch::model::{ModelOptions, ModelSpec};
+use gapwatch::reference::gap::Metric;
+use gapwatch::reference::{
+    COMPONENTS_MAX, ModelFingerprint, Provenance, Reference, Role, SourceUse,
+};
+use indicatif::ProgressBar;
+use rayon::prelude::*;
+
+use super::{Model, frames_max, progress};
+
+/// Name of the first nominal domain.
+const SIMULATION: &str = "simulation";
+
+/// Drives by role, sorted, for thresholds of a kind.
+pub struct Recipe {
+    pub model: ModelFingerprint,
+    pub wanted: Wanted,
+    simulation: Vec<String>,
+    /// One entry a domain.
+    accepted: Vec<Vec<String>>,
+    held_out: Vec<String>,
+    labelled: Vec<String>,
+}
+
+/// What is at hand of a recipe's drives.
+pub struct Found {
+    /// Of the simulation, each accepted domain and the held-out drives, in this order.
+    drives: Vec<Option<Stored<Survey>>>,
+    labelled: Vec<Option<Stored<Vec<LabelledMeans>>>>,
+}
+
+impl Recipe {
+    /// Sorts drives; accepted ones that differ in their seeds alone are one domain.
+    pub fn new(
+        model: ModelFingerprint,
+        wanted: Wanted,
+        drives: Vec<(Role, String)>,
+    ) -> anyhow::Result<Self> {
+        let of_role = |wanted: Role| {
+            let own = drives.iter().filter(|(role, _)| *role == wanted);
+            let mut names: Vec<String> = own.map(|(_, name)| name.clone()).collect();
+            sort_drives(&mut names);
+            names
+        };
+        let accepted = of_role(Role::Accepted);
+        let recipe = Self {
+            model,
+            wanted,
+            simulation: of_role(Role::Simulation),
+            accepted: accepted
+                .chunk_by(|a, b| template(a) == template(b))
+                .map(<[String]>::to_vec)
+                .collect(),
+            held_out: of_role(Role::HeldOut),
+            labelled: of_role(Role::Labelled),
+        };
+        let mut seen = HashSet::new();
+        let nominal = recipe.nominal();
+        if let Some(twice) = nominal.iter().find(|&source| !seen.insert(source)) {
+            bail!("source {twice} is given twice; held-out drives must be others than fitted ones");
+        }
+        let mut seen = HashSet::new();
+        if let Some(twice) = recipe.labelled.iter().find(|&source| !seen.insert(source)) {
+            bail!("labelled drive {twice} is given twice");
+        }
+        if recipe.accepted.len() >= COMPONENTS_MAX {
+            bail!(
+                "{} accepted domains; wanted at most {}: one source may stand for many drives, as in seed=1..60",
+                recipe.accepted.len(),
+                COMPONENTS_MAX - 1
+            );
+        }
+        let risk = wanted.metric == Metric::LaneRisk;
+        if !risk && !recipe.labelled.is_empty() {
+            bail!("--metric lane-risk and --labelled belong together; wanted both or neither");
+        }
+        if risk && !recipe.accepted.is_empty() {
+            bail!(
+                "--metric lane-risk judges any road by what the lane model loses; wanted no --accept"
+            );
+        }
+        for name in &recipe.labelled {
+            labelled_spec(name)?;
+        }
+        Ok(recipe)
+    }
+
+    /// Refuses drives of which no reference can be made.
+    pub fn check_whole(&self) -> anyhow::Result<()> {
+        if self.simulation.is_empty() {
+            bail!("no nominal drive of the simulation; wanted some with --sim");
+        }
+        if self.wanted.metric == Metric::LaneRisk && self.labelled.is_empty() {
+            bail!("--metric lane-risk and --labelled belong together; wanted both or neither");
+        }
+        Ok(())
+    }
+
+    /// All drives but the labelled ones.
+    fn nominal(&self) -> Vec<String> {
+        [&self.simulation, &self.accepted.concat(), &self.held_out]
+            .into_iter()
+            .flatten()
+            .cloned()
+            .collect()
+    }
+
+    fn keep(&self) -> Keep {
+        match self.wanted.metric.divergence() {
+            None => Keep::Means,
+            Some(_) => Keep::Maps,
+        }
+    }
+
+    /// What a store has of the drives; with the model in use, only what would be the same if it were looked at now.
+    pub fn find(&self, store: &SurveyStore, now: Option<&ModelSpec>) -> anyhow::Result<Found> {
+        let nominal = self.nominal();
+        let drives = nominal.par_iter().map(|name| {
+            let stamp = now.map(|_| stamp(name)).transpose()?;
+            let find = |kept| found(store, name, kept, stamp.as_deref());
+            match (find(self.keep().into())?, self.keep()) {
+                // Beside maps there are means too.
+                (None, Keep::Means) => Ok(find(Kept::Maps)?),
+                (there, _) => Ok(there),
+            }
+        });
+        let lane = now.map(lane_stamp);
+        let labelled = self
+            .labelled
+            .par_iter()
+            .map(|name| Ok(found(store, name, Kept::Labelled, lane.as_deref())?));
+        Ok(Found {
+            drives: drives.collect::<anyhow::Result<_>>()?,
+            labelled: labelled.collect::<anyhow::Result<_>>()?,
+        })
+    }
+
+    /// Looks at the drives that were not found; a source that cannot be opened fails before any is looked at.
+    pub fn look(
+        &self,
+        found: &mut Found,
+        model: &Model,
+        store: &SurveyStore,
+    ) -> anyhow::Result<()> {
+        self.look_at_labelled(found, &model.spec, store)?;
+        let keep = self.keep();
+        let nominal = self.nominal();
+        let missing: Vec<_> = nominal
+            .iter()
+            .zip(&mut found.drives)
+            .filter(|(_, there)| there.is_none())
+            .collect();
+        let mut total = Some(0);
+        for (name, _) in &missing {
+            let count = open(name)?.frame_count();
+            let most = frames_max(keep);
+            if let Some(count) = count.filter(|&count| count > most) {
+                bail!(
+                    "{name}: {count} frames in one drive; wanted at most {most}: take shorter drives, or a lower fps"
+                );
+            }
+            total = total.zip(count).map(|(total, count)| total + count);
+        }
+        let bar = progress::frames(total, "looking");
+        missing.into_par_iter().try_for_each(|(name, place)| {
+            let stamp = stamp(name)?;
+            let survey = Survey::of(
+                name,
+                &model.encoder,
+                &model.spec.preprocessing,
+                keep,
+                &|| bar.inc(1),
+            )?;
+            *place = Some(store.keep(name, keep.into(), &stamp, &survey)?);
+            anyhow::Ok(())
+        })?;
+        bar.finish_and_clear();
+        Ok(())
+    }
+
+    /// The labelled drives seen through the lane model, plain and under every condition.
+    fn look_at_labelled(
+        &self,
+        found: &mut Found,
+        spec: &ModelSpec,
+        store: &SurveyStore,
+    ) -> anyhow::Result<()> {
+        let missing: Vec<_> = self
+            .labelled
+            .iter()
+            .zip(&mut found.labelled)
+            .filter(|(_, there)| there.is_none())
+            .collect();
+        if missing.is_empty() {
+            return Ok(());
+        }
+        if spec.lane.is_none() {
+            bail!(
+                "{}: no lane output is named; wanted lane = \"NAME\" in the .toml beside it for lane-risk",
+                spec.name
+            );
+        }
+        let encoder = Encoder::load_with_lane(spec)?;
+        let bar = progress::frames(Some(missing.len() as u64), "labelled drives");
+        missing.into_par_iter().try_for_each(|(name, place)| {
+            let drive = labelled_spec(name)?;
+            // By its seed, not its place: the drive is the same in any shard. Only its rest by 5 counts.
+            let number = usize::try_from(drive.seed % 5)?;
+            let frames = frames_of(&drive, number, &encoder, &spec.preprocessing)?;
+            let frames: Vec<LabelledMeans> = frames.into_iter().map(|(_, frame)| frame).collect();
+            *place = Some(store.keep(name, Kept::Labelled, &lane_stamp(spec), &frames)?);
+            bar.inc(1);
+            anyhow::Ok(())
+        })?;
+        bar.finish_and_clear();
+        Ok(())
+    }
+
+    /// The drives with their roles and frames.
+    pub fn sources(&self, found: &Found) -> anyhow::Result<Vec<ShardSource>> {
+        let of = |names: Vec<String>, role: Role| names.into_iter().map(move |name| (name, role));
+        let nominal = of(self.simulation.clone(), Role::Simulation)
+            .chain(of(self.accepted.concat(), Role::Accepted))
+            .chain(of(self.held_out.clone(), Role::HeldOut));
+        let mut sources = Vec::new();
+        for ((source, role), drive) in nominal.zip(&found.drives) {
+            let frames = drive.as_ref().map_or(0, Drive::frames) as u64;
+            sources.push(ShardSource {
+                source,
+                role,
+                frames,
+            });
+        }
+        for source in &self.labelled {
+            sources.push(ShardSource {
+                source: source.clone(),
+                role: Role::Labelled,
+                frames: labelled_spec(source)?.frames(),
+            });
+        }
+        Ok(sources)
+    }
+
+    /// The reference of drives that all have been found.
+    pub fn reference(&self, found: Found) -> anyhow::Result<Reference> {
+        let drives = all(found.drives)?;
+        let labelled = all(found.labelled)?;
+        let bar = progress::over(Some(0), "thresholds", "looks at drives");
+        let drives: Vec<Watched<'_, _>> = watched(&drives, &bar);
+        let labelled: Vec<Watched<'_, _>> = watched(&labelled, &bar);
+        let (simulation, mut rest) = drives.split_at(self.simulation.len());
+        let mut domains = vec![Domain {
+            name: SIMULATION.to_owned(),
+            drives: simulation,
+        }];
+        for names in &self.accepted {
+            let (own, others) = rest.split_at(names.len());
+            domains.push(Domain {
+                name: ranges(names).join(" "),
+                drives: own,
+            });
+            rest = others;
+        }
+        bar.set_length(looks(&domains, rest, &labelled, self.wanted.metric));
+        let Calibrated {
+            components,
+            false_alarms,
+            mut sources,
+        } = calibrate(&domains, rest, &labelled, &self.model.taps, self.wanted)?;
+        bar.finish_and_clear();
+        for name in &self.labelled {
+            let frames = labelled_spec(name)?.frames();
+            sources.push(SourceUse {
+                source: name.clone(),
+                role: Some(Role::Labelled),
+                frames,
+                fitted: frames,
+                held_out: 0,
+            });
+        }
+        let provenance = Provenance {
+            gapwatch: env!("CARGO_PKG_VERSION").to_owned(),
+            command: self.command()?,
+            sources,
+        };
+        Ok(Reference::new(
+            self.model.clone(),
+            self.wanted.metric,
+            self.wanted.window_s,
+            false_alarms,
+            provenance,
+            components,
+        ))
+    }
+
+    /// A command that makes the reference again: the same whatever was typed, so without the names of files on one machine.
+    fn command(&self) -> anyhow::Result<String> {
+        let mut words: Vec<String> = vec!["gapwatch".to_owned(), "calibrate".to_owned()];
+        let mut add = |flag: &str, values: &[String]| {
+            if !values.is_empty() {
+                words.push(flag.to_owned());
+                words.extend(values.iter().map(|value| quoted(value)));
+            }
+        };
+        add("--sim", &ranges(&self.simulation));
+        add("--accept", &ranges(&self.accepted.concat()));
+        add("--held-out", &ranges(&self.held_out));
+        add("--labelled", &ranges(&self.labelled));
+        let Wanted {
+            metric,
+            window_s,
+            false_alarms_per_hour,
+        } = self.wanted;
+        add(
+            "--false-alarms-per-hour",
+            &[false_alarms_per_hour.to_string()],
+        );
+        add("--metric", &[metric.to_string()]);
+        add("--window", &[window_s.to_string()]);
+        let built_in = ModelSpec::new(None, ModelOptions::default())?;
+        let of = &self.model.preprocessing;
+        if self.model.name != built_in.name {
+            add("--model", std::slice::from_ref(&self.model.name));
+        }
+        if self.model.name != built_in.name
+            || self.model.taps != built_in.taps
+            || *of != built_in.preprocessing
+        {
+            add("--taps", &[self.model.taps.join(",")]);
+            add("--size", &[format!("{}x{}", of.width, of.height)]);
+            add("--mean", &[comma_separated(&of.mean)]);
+            add("--std", &[comma_separated(&of.std)]);
+            if of.crop != CROP_NOTHING {
+                add("--crop", &[comma_separated(&of.crop)]);
+            }
+        }
+        add("--out", &["reference.json".to_owned()]);
+        Ok(words.join(" "))
+    }
+}
+
+/// A drive whose looks are counted.
+struct Watched<'a, T> {
+    drive: &'a Stored<T>,
+    bar: &'a ProgressBar,
+}
+
+fn watched<'a, T>(drives: &'a [Stored<T>], bar: &'a ProgressBar) -> Vec<Watched<'a, T>> {
+    drives.iter().map(|drive| Watched { drive, bar }).collect()
+}
+
+impl Drive for Watched<'_, Survey> {
+    fn source(&self) -> &str {
+        self.drive.source()
+    }
+
+    fn frames(&self) -> usize {
+        Drive::frames(self.drive)
+    }
+
+    fn survey(&self) -> Result<Cow<'_, Survey>, StoreError> {
+        self.bar.inc(1);
+        self.drive.survey()
+    }
+}
+
+impl LabelledDrive for Watched<'_, Vec<LabelledMeans>> {
+    fn frames(&self) -> usize {
+        LabelledDrive::frames(self.drive)
+    }
+
+    fn means(&self) -> Result<Cow<'_, [LabelledMeans]>, StoreError> {
+        self.bar.inc(1);
+        self.drive.means()
+    }
+}
+
+impl Found {
+    /// How many drives were not found.
+    pub fn missing(&self) -> usize {
+        let drives = self.drives.iter().filter(|there| there.is_none());
+        let labelled = self.labelled.iter().filter(|there| there.is_none());
+        drives.count() + labelled.count()
+    }
+}
+
+/// A drive's survey in a store; of one that is damaged the user is told, and it is as if it were not there.
+fn found<T: Content>(
+    store: &SurveyStore,
+    name: &str,
+    kept: Kept,
+    stamp: Option<&str>,
+) -> Result<Option<Stored<T>>, StoreError> {
+    match store.find(name, kept, stamp) {
+        Err(error @ StoreError::Damaged { .. }) => {
+            log::warn!("{error}; looking at it again");
+            Ok(None)
+        }
+        other => other,
+    }
+}
+
+fn all<T>(found: Vec<Option<T>>) -> anyhow::Result<Vec<T>> {
+    let all: Option<Vec<T>> = found.into_iter().collect();
+    all.context("a drive was not looked at")
+}
+
+/// What a labelled drive's frames depend on beside the encoder: the lane output.
+fn lane_stamp(spec: &ModelSpec) -> String {
+    spec.lane.clone().unwrap_or_default()
+}
+
+/// A rendered drive by name; no other source has lane labels.
+fn labelled_spec(name: &str) -> anyhow::Result<DriveSpec> {
+    let Some(spec) = name.strip_prefix("scene:") else {
+        bail!("--labelled {name}: has no lane labels; wanted a rendered drive, scene:…");
+    };
+    let spec: DriveSpec = spec.parse()?;
+    if !spec.conditions.is_empty() {
+        bail!("--labelled {name}: has a condition; wanted a plain drive, conditions are added");
+    }
+    Ok(spec)
+}
+
+fn comma_separated<T: ToString>(values: &[T]) -> String {
+    let values: Vec<String> = values.iter().map(ToString::to_string).collect();
+    values.join(",")
+}
+
+/// A word as it can be typed in a shell.
+fn quoted(word: &str) -> String {
+    let plain = |c: char| c.is_ascii_alphanumeric() || "-_./,:=+@%".contains(c);
+    if !word.is_empty() && word.chars().all(plain) {
+        word.to_owned()
+    } else {
+        format!("'{}'", word.replace('\'', "'\\''"))
+    }
+}

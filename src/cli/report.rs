@@ -1,0 +1,40 @@
+//! `gapwatch report`: a journal as one HTML file.
+
+use std::io::Write;
+
+use anyhow::{Context, bail};
+use gapwatch::files::whole_file::WholeFile;
+use gapwatch::lab::report::Report;
+use gapwatch::record::journal;
+
+use crate::cli::args::ReportArgs;
+
+pub fn run(args: &ReportArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
+    if let (Ok(journal), Ok(page)) = (args.journal.canonicalize(), args.out.canonicalize())
+        && journal == page
+    {
+        bail!(
+            "{}: wanted another file for the report than the journal",
+            args.out.display()
+        );
+    }
+    let mut report = Report::new(journal::read(&args.journal)?);
+    if let Some(folder) = &args.evidence {
+        report.show(folder)?;
+    }
+    let name = args.journal.file_name().unwrap_or_default();
+    let page = report.page(&name.to_string_lossy());
+    let cannot = || format!("cannot write {}", args.out.display());
+    let mut file = WholeFile::create(&args.out).with_context(cannot)?;
+    file.write_all(page.as_bytes()).with_context(cannot)?;
+    file.finish().with_context(cannot)?;
+    writeln!(
+        out,
+        "{}: {} lines, {:.1} s of drive, {} alarms",
+        args.out.display(),
+        report.lines(),
+        report.span_s(),
+        report.alarms().len()
+    )?;
+    Ok(0)
+}

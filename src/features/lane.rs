@@ -1,0 +1,170 @@
+//! What the lane model itself answers: its lane mask, how well that fits the truth, and how much of the encoder's energy
+//! lies on lanes. Nothing of this is run in the car; it judges models, not roads.
+
+use serde::Serialize;
+
+use crate::features::attention::EnergyMap;
+use crate::model::encoder::FeatureMap;
+
+/// Where lane is, `[height, width]`, row by row.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct LaneMask {
+    /// Pixels a row.
+    pub width: usize,
+    /// Rows.
+    pub height: usize,
+    /// `[height, width]`, true on a lane line.
+    pub lane: Vec<bool>,
+}
+
+impl LaneMask {
+    /// A label image: `labels` is `[height, width]`, 0 where there is no lane.
+    pub fn of_labels(width: usize, labels: &[u8]) -> Self {
+        Self {
+            width,
+            height: labels.len() / width.max(1),
+            lane: labels.iter().map(|&label| label != 0).collect(),
+        }
+    }
+
+    /// Takes over the lane head's answer: lane is where the logit is above 0.
+    pub fn read(&mut self, logits: &FeatureMap<'_>) {
+        let [_, height, width] = logits.shape;
+        (self.width, self.height) = (width, height);
+        self.lane.clear();
+        let first = &logits.activations[..height * width];
+        self.lane.extend(first.iter().map(|&logit| logit > 0.0));
+    }
+
+    /// Share of the mask that is lane.
+    pub fn area(&self) -> f64 {
+        share(
+            self.lane.iter().filter(|&&lane| lane).count(),
+            self.lane.len(),
+        )
+    }
+
+    /// Share of each cell of a map `size` (width, height) that is lane: the mask's mean over the cell's pixels.
+    fn shares(&self, size: (usize, usize)) -> Vec<f64> {
+        let edge = |cell: usize, cells: usize, pixels: usize| cell * pixels / cells;
+        let mut shares = Vec::with_capacity(size.0 * size.1);
+        for row in 0..size.1 {
+            let rows = edge(row, size.1, self.height)..edge(row + 1, size.1, self.height);
+            for column in 0..size.0 {
+                let columns =
+                    edge(column, size.0, self.width)..edge(column + 1, size.0, self.width);
+                let lane = rows
+                    .clone()
+                    .map(|y| &self.lane[y * self.width..][columns.clone()])
+                    .map(|pixels| pixels.iter().filter(|&&lane| lane).count())
+                    .sum();
+                shares.push(share(lane, rows.len() * columns.len()));
+            }
+        }
+        shares
+    }
+}
+
+/// Pixels that two masks have in common, and that either has.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct Overlap {
+    /// In both masks.
+    pub both: u64,
+    /// In one of them at least.
+    pub either: u64,
+}
+
+impl Overlap {
+    /// Of an answer with the truth, of the same size; no answer is one without lane.
+    pub fn of(answer: Option<&LaneMask>, truth: &LaneMask) -> Self {
+        let answer = answer.map_or(&[][..], |mask| &mask.lane);
+        let answer = answer.iter().copied().chain(std::iter::repeat(false));
+        let mut overlap = Self::default();
+        for (answer, &truth) in answer.zip(&truth.lane) {
+            overlap.both += u64::from(answer && truth);
+            overlap.either += u64::from(answer || truth);
+        }
+        overlap
+    }
+
+    /// Intersection over union, pooled over all; `None` when neither holds any lane.
+    pub fn iou(all: impl Iterator<Item = Self>) -> Option<f64> {
+        let sum = all.fold(Self::default(), |sum, one| Self {
+            both: sum.both + one.both,
+            either: sum.either + one.either,
+        });
+        // Counts of pixels are far below 2^52.
+        #[allow(clippy::cast_precision_loss)]
+        (sum.either > 0).then(|| sum.both as f64 / sum.either as f64)
+    }
+}
+
+/// Share of a map's energy that lies on lanes: `sum g(p) a(p) / sum g(p)`, where `a(p)` is the share of cell `p` that is
+/// lane. Attention that does not care for lanes has the mask's share of the area.
+///
+/// `mask` is as large as `energy` or larger; `None` when there is no energy at all.
+pub fn energy_on_lanes(energy: &EnergyMap, mask: &LaneMask) -> Option<f64> {
+    let shares = mask.shares((energy.width, energy.height));
+    let total: f64 = energy.energy.iter().sum();
+    let on_lanes: f64 = energy.energy.iter().zip(shares).map(|(g, a)| g * a).sum();
+    (total > 0.0).then(|| on_lanes / total)
+}
+
+fn share(part: usize, whole: usize) -> f64 {
+    // Counts of pixels are far below 2^52.
+    #[allow(clippy::cast_precision_loss)]
+    if whole == 0 {
+        0.0
+    } else {
+        part as f64 / whole as f64
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, clippy::float_cmp)]
+    use super::*;
+
+    #[test]
+    fn lane_is_where_the_logit_is_above_0() {
+        let mut mask = LaneMask::default();
+        mask.read(&FeatureMap {
+            shape: [1, 1, 4],
+            activations: &[-1.0, 0.0, 0.5, f32::NAN],
+        });
+        assert_eq!(mask.lane, [false, false, true, false]);
+        assert_eq!(mask.area(), 0.25);
+    }
+
+    #[test]
+    fn iou_is_pooled_over_pixels_not_averaged_over_masks() {
+        let mask = |labels: &[u8]| LaneMask::of_labels(4, labels);
+        let one = Overlap::of(Some(&mask(&[1, 1, 0, 0])), &mask(&[255, 0, 0, 0]));
+        let two = Overlap::of(Some(&mask(&[1; 4])), &mask(&[255; 4]));
+        assert_eq!(one, Overlap { both: 1, either: 2 });
+        assert_eq!(Overlap::iou([one, two].into_iter()), Some(5.0 / 6.0));
+        assert_eq!(
+            Overlap::of(None, &mask(&[1, 0, 0, 1])),
+            Overlap { both: 0, either: 2 }
+        );
+        assert_eq!(Overlap::iou([Overlap::default()].into_iter()), None);
+    }
+
+    #[test]
+    fn energy_on_lanes_weighs_each_cell_by_its_share_of_lane() {
+        // Cells of 2x2 pixels: the left one half lane, the right one without.
+        let mask = LaneMask::of_labels(4, &[1, 0, 0, 0, 1, 0, 0, 0]);
+        let energy = |energy: &[f64]| EnergyMap {
+            width: 2,
+            height: 1,
+            energy: energy.to_vec(),
+        };
+        assert_eq!(energy_on_lanes(&energy(&[3.0, 1.0]), &mask), Some(0.375));
+        // Attention that does not care: the share of the area.
+        assert_eq!(
+            energy_on_lanes(&energy(&[1.0, 1.0]), &mask),
+            Some(mask.area())
+        );
+        assert_eq!(energy_on_lanes(&energy(&[0.0, 0.0]), &mask), None);
+    }
+}

@@ -1,0 +1,313 @@
+//! Files that grow while people read them: every line is there as soon as it is written, and on the disk a second later.
+//!
+//! Owns the thread that writes: who hands a line over never waits for a disk. A disk that takes nothing costs lines, which
+//! are counted and told; never half a line, and never anything else. An earlier file of the name is kept as `NAME.1`.
+
+use std::fs::{self, File, OpenOptions};
+use std::io::{self, Seek, SeekFrom, Write};
+use std::path::{Path, PathBuf};
+use std::sync::mpsc::{
+    Receiver, RecvTimeoutError, SyncSender, TrySendError, channel, sync_channel,
+};
+use std::time::{Duration, Instant};
+
+use crate::files::durable;
+
+/// Lines that may wait for a disk that hangs: several minutes of a monitor's.
+const QUEUE_MAX: usize = 4_096;
+/// How old a line is at most when it is on the disk.
+const SYNC_EVERY: Duration = Duration::from_secs(1);
+/// How long the end waits for a disk that hangs.
+const FINISH_WITHIN: Duration = Duration::from_secs(3);
+/// Shortest time between two log lines about the same trouble.
+const COMPLAINT: Duration = Duration::from_secs(1);
+
+/// A file that is being written.
+pub struct LiveFile {
+    name: String,
+    lines: SyncSender<Vec<u8>>,
+    ended: Receiver<io::Result<()>>,
+    left_out: LeftOut,
+}
+
+impl LiveFile {
+    /// Begins a file at `path`; a regular file that is there is kept beside it.
+    ///
+    /// # Errors
+    /// When nothing can be written there.
+    pub fn create(path: &Path) -> io::Result<Self> {
+        let (file, place) = open(path)?;
+        let name = path.display().to_string();
+        let (lines, to_write) = sync_channel(QUEUE_MAX);
+        let (says_how, ended) = channel();
+        let mut writer = Writer {
+            file,
+            place,
+            whole: 0,
+            unsynced_since: None,
+            left_out: LeftOut::new(&name),
+        };
+        std::thread::Builder::new()
+            .name("live-file".to_owned())
+            .spawn(move || {
+                // Nobody hears it when the end did not wait.
+                let _ = says_how.send(writer.run(&to_write));
+            })?;
+        Ok(Self {
+            left_out: LeftOut::new(&name),
+            name,
+            lines,
+            ended,
+        })
+    }
+
+    /// Waits until all lines are on the disk, for a few seconds at most.
+    ///
+    /// # Errors
+    /// When they are not, or some lines were left out.
+    pub fn finish(self) -> io::Result<()> {
+        let Self {
+            lines,
+            ended,
+            left_out,
+            ..
+        } = self;
+        drop(lines);
+        match ended.recv_timeout(FINISH_WITHIN) {
+            Ok(how) => how?,
+            Err(_) => {
+                return Err(io::Error::new(
+                    io::ErrorKind::TimedOut,
+                    "the disk has not taken the last lines",
+                ));
+            }
+        }
+        left_out.outcome()
+    }
+}
+
+/// A call takes one whole line.
+impl Write for LiveFile {
+    fn write(&mut self, line: &[u8]) -> io::Result<usize> {
+        match self.lines.try_send(line.to_vec()) {
+            Ok(()) => self.left_out.over(),
+            Err(TrySendError::Full(_)) => {
+                self.left_out.add("the disk takes nothing", Instant::now())
+            }
+            Err(TrySendError::Disconnected(_)) => {
+                return Err(io::Error::other(format!(
+                    "the writer of {} ended",
+                    self.name
+                )));
+            }
+        }
+        Ok(line.len())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+/// Lines that nobody wrote.
+struct LeftOut {
+    name: String,
+    all: u64,
+    /// Since the disk took the last one.
+    now: u64,
+    complained_at: Option<Instant>,
+}
+
+impl LeftOut {
+    fn new(name: &str) -> Self {
+        Self {
+            name: name.to_owned(),
+            all: 0,
+            now: 0,
+            complained_at: None,
+        }
+    }
+
+    fn add(&mut self, why: &str, now: Instant) {
+        self.all += 1;
+        self.now += 1;
+        if self.complained_at.is_none_or(|at| now - at >= COMPLAINT) {
+            self.complained_at = Some(now);
+            let (name, count) = (&self.name, self.now);
+            log::error!(
+                "{name}: {why}; lines are left out until it takes them again, {count} so far"
+            );
+        }
+    }
+
+    /// A line was taken.
+    fn over(&mut self) {
+        if self.now > 0 {
+            log::warn!(
+                "{}: it takes lines again; {} were left out",
+                self.name,
+                self.now
+            );
+            self.now = 0;
+            self.complained_at = None;
+        }
+    }
+
+    fn outcome(&self) -> io::Result<()> {
+        match self.all {
+            0 => Ok(()),
+            count => Err(io::Error::other(format!("{count} lines are left out"))),
+        }
+    }
+}
+
+/// The other side of the queue.
+struct Writer {
+    file: File,
+    /// Where the file lies; `None` of a device or pipe, which is neither cut nor synced.
+    place: Option<PathBuf>,
+    /// Bytes of whole lines.
+    whole: u64,
+    unsynced_since: Option<Instant>,
+    left_out: LeftOut,
+}
+
+impl Writer {
+    fn run(&mut self, lines: &Receiver<Vec<u8>>) -> io::Result<()> {
+        loop {
+            let wait = self
+                .unsynced_since
+                .map(|since| SYNC_EVERY.saturating_sub(since.elapsed()));
+            let line = match wait {
+                None => lines.recv().map_err(|_| RecvTimeoutError::Disconnected),
+                Some(wait) => lines.recv_timeout(wait),
+            };
+            match line {
+                Ok(line) => self.take(&line),
+                Err(RecvTimeoutError::Timeout) => {}
+                Err(RecvTimeoutError::Disconnected) => break,
+            }
+            if self
+                .unsynced_since
+                .is_some_and(|since| since.elapsed() >= SYNC_EVERY)
+            {
+                self.unsynced_since = None;
+                if let Err(error) = self.sync() {
+                    log::error!("{}: {error}", self.left_out.name);
+                }
+            }
+        }
+        self.sync()?;
+        self.left_out.outcome()
+    }
+
+    fn take(&mut self, line: &[u8]) {
+        match self.file.write_all(line) {
+            Ok(()) => {
+                self.whole += line.len() as u64;
+                self.unsynced_since.get_or_insert_with(Instant::now);
+                self.left_out.over();
+            }
+            Err(error) => {
+                self.left_out.add(&error.to_string(), Instant::now());
+                if self.place.is_some() {
+                    // Half a line would spoil what follows; where even this fails, the reader names the line.
+                    let _ = self.file.set_len(self.whole);
+                    let _ = self.file.seek(SeekFrom::Start(self.whole));
+                }
+            }
+        }
+    }
+
+    fn sync(&self) -> io::Result<()> {
+        if self.place.is_some() {
+            durable::sync(&self.file)
+        } else {
+            Ok(())
+        }
+    }
+}
+
+fn open(path: &Path) -> io::Result<(File, Option<PathBuf>)> {
+    // A link to a file stays a link.
+    let place = path.canonicalize().unwrap_or_else(|_| path.to_owned());
+    match place.metadata() {
+        Ok(there) if there.is_dir() => return Err(io::ErrorKind::IsADirectory.into()),
+        Ok(there) if !there.is_file() => {
+            return Ok((OpenOptions::new().write(true).open(place)?, None));
+        }
+        Ok(there) => {
+            // What may not be written may not be moved either.
+            drop(OpenOptions::new().append(true).open(&place)?);
+            if there.len() > 0 {
+                let mut earlier = place.clone().into_os_string();
+                earlier.push(".1");
+                fs::rename(&place, earlier)?;
+            }
+        }
+        Err(_) => {}
+    }
+    let file = File::create(&place)?;
+    durable::sync_folder(durable::folder_of(&place))?;
+    Ok((file, Some(place)))
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    #[test]
+    fn a_line_is_there_while_the_file_is_open() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("j.jsonl");
+        let mut file = LiveFile::create(&path).unwrap();
+        assert_eq!(fs::read(&path).unwrap(), b"");
+        for n in 0..3 {
+            file.write_all(format!("line {n}\n").as_bytes()).unwrap();
+            let wanted: String = (0..=n).map(|n| format!("line {n}\n")).collect();
+            let until = Instant::now() + Duration::from_secs(10);
+            while fs::read_to_string(&path).unwrap() != wanted {
+                assert!(Instant::now() < until, "line {n} is not there");
+                std::thread::sleep(Duration::from_millis(1));
+            }
+        }
+        file.finish().unwrap();
+        assert_eq!(fs::read_to_string(&path).unwrap().lines().count(), 3);
+    }
+
+    #[test]
+    fn an_earlier_file_is_kept_once_and_an_empty_one_is_not() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("can.log");
+        for text in ["one\n", "two\n", "", "three\n"] {
+            let mut file = LiveFile::create(&path).unwrap();
+            file.write_all(text.as_bytes()).unwrap();
+            file.finish().unwrap();
+        }
+        assert_eq!(fs::read_to_string(&path).unwrap(), "three\n");
+        let earlier = folder.path().join("can.log.1");
+        assert_eq!(fs::read_to_string(earlier).unwrap(), "two\n");
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 2);
+    }
+
+    #[test]
+    fn devices_are_written_through_and_what_cannot_be_written_is_refused() {
+        let mut null = LiveFile::create(Path::new("/dev/null")).unwrap();
+        null.write_all(b"line\n").unwrap();
+        null.finish().unwrap();
+        assert!(!Path::new("/dev/null").metadata().unwrap().is_file());
+        assert!(LiveFile::create(tempfile::tempdir().unwrap().path()).is_err());
+        assert!(LiveFile::create(Path::new("/no/such/folder/file")).is_err());
+    }
+
+    #[test]
+    fn a_full_disk_costs_lines_and_is_told_at_the_end() {
+        let mut full = LiveFile::create(Path::new("/dev/full")).unwrap();
+        for _ in 0..5 {
+            full.write_all(b"line\n").unwrap();
+        }
+        let said = full.finish().unwrap_err().to_string();
+        assert_eq!(said, "5 lines are left out");
+    }
+}

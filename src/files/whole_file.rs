@@ -1,0 +1,243 @@
+//! Files that appear whole or not at all, and are read whole or not at all.
+
+use std::fs::{File, OpenOptions};
+use std::io::{self, BufWriter, Read, Write};
+use std::os::fd::AsRawFd;
+use std::os::unix::fs::PermissionsExt;
+use std::path::{Path, PathBuf};
+
+use rustix::fs::{AtFlags, CWD, Mode, OFlags, linkat};
+use tempfile::TempPath;
+
+use crate::files::durable::{folder_of, sync, sync_folder};
+
+/// Begins the names that files have for the moment in which they are put in place.
+const PREFIX: &str = ".gapwatch-";
+
+/// Reads a file of at most `most` bytes: what is larger, or never ends, costs no more memory than that.
+///
+/// # Errors
+/// When it cannot be read, or is larger.
+pub fn read_whole(path: &Path, most: u64) -> io::Result<Vec<u8>> {
+    let mut bytes = Vec::new();
+    File::open(path)?.take(most + 1).read_to_end(&mut bytes)?;
+    if bytes.len() as u64 > most {
+        let why = format!("more than {most} bytes, which no file of its kind has");
+        return Err(io::Error::new(io::ErrorKind::FileTooLarge, why));
+    }
+    Ok(bytes)
+}
+
+/// As [`read_whole`], of text.
+///
+/// # Errors
+/// As [`read_whole`], and when it is not UTF-8.
+pub fn read_text(path: &Path, most: u64) -> io::Result<String> {
+    let not_text = |_| io::Error::new(io::ErrorKind::InvalidData, "not text in UTF-8");
+    String::from_utf8(read_whole(path, most)?).map_err(not_text)
+}
+
+/// A file being written without a name; dropped without [`WholeFile::finish`], or killed, it leaves nothing behind. Where the file
+/// system has no files without names, it is written under another name beside its place, which only a killed program leaves.
+pub struct WholeFile(Target);
+
+enum Target {
+    Beside {
+        file: BufWriter<File>,
+        /// `None` of a file without a name.
+        name: Option<TempPath>,
+        place: PathBuf,
+    },
+    /// A device or pipe, which must not be replaced.
+    Through(BufWriter<File>),
+}
+
+impl WholeFile {
+    /// Begins a file at `path`.
+    ///
+    /// # Errors
+    /// When nothing can be written there.
+    pub fn create(path: &Path) -> io::Result<Self> {
+        Self::begin(path, without_name)
+    }
+
+    fn begin(path: &Path, nameless: fn(&Path) -> Option<File>) -> io::Result<Self> {
+        match path.metadata() {
+            Ok(there) if there.is_dir() => return Err(io::ErrorKind::IsADirectory.into()),
+            Ok(there) if !there.is_file() => {
+                return Ok(Self(Target::Through(BufWriter::new(
+                    OpenOptions::new().write(true).open(path)?,
+                ))));
+            }
+            // What may not be written may not be replaced either.
+            Ok(_) => drop(OpenOptions::new().append(true).open(path)?),
+            Err(_) => {}
+        }
+        // A link to a file stays a link: what it names is replaced.
+        let place = path.canonicalize().unwrap_or_else(|_| path.to_owned());
+        let folder = folder_of(&place);
+        let (file, name) = match nameless(folder) {
+            Some(file) => (file, None),
+            None => {
+                let named = tempfile::Builder::new()
+                    .prefix(PREFIX)
+                    .permissions(PermissionsExt::from_mode(0o644))
+                    .tempfile_in(folder)
+                    .map_err(|error| unnamed(&error))?;
+                let (file, name) = named.into_parts();
+                (file, Some(name))
+            }
+        };
+        Ok(Self(Target::Beside {
+            file: BufWriter::new(file),
+            name,
+            place,
+        }))
+    }
+
+    /// Puts the file in its place; it is on the disk when this returns.
+    ///
+    /// # Errors
+    /// When the disk does not take it.
+    pub fn finish(self) -> io::Result<()> {
+        match self.0 {
+            Target::Beside { file, name, place } => {
+                let file = file.into_inner().map_err(io::IntoInnerError::into_error)?;
+                sync(&file)?;
+                let folder = folder_of(&place);
+                let name = name.map_or_else(|| named(&file, folder), Ok)?;
+                name.persist(&place).map_err(|error| error.error)?;
+                sync_folder(folder)
+            }
+            Target::Through(mut file) => file.flush(),
+        }
+    }
+}
+
+/// A file without a name; `None` where there is none that could be given one later, and where nothing can be written.
+fn without_name(folder: &Path) -> Option<File> {
+    let flags = OFlags::WRONLY | OFlags::TMPFILE | OFlags::CLOEXEC;
+    let file = File::from(rustix::fs::open(folder, flags, Mode::from(0o644)).ok()?);
+    name_of_open(&file).exists().then_some(file)
+}
+
+/// Under which every program sees its own open files, also those without a name.
+fn name_of_open(file: &File) -> PathBuf {
+    PathBuf::from(format!("/proc/self/fd/{}", file.as_raw_fd()))
+}
+
+/// Gives a file without a name one in `folder`.
+fn named(file: &File, folder: &Path) -> io::Result<TempPath> {
+    let open = name_of_open(file);
+    let link = |name: &Path| Ok(linkat(CWD, &open, CWD, name, AtFlags::SYMLINK_FOLLOW)?);
+    let mut builder = tempfile::Builder::new();
+    Ok(builder
+        .prefix(PREFIX)
+        .make_in(folder, link)?
+        .into_temp_path())
+}
+
+impl Write for WholeFile {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        match &mut self.0 {
+            Target::Beside { file, .. } => file.write(bytes),
+            Target::Through(file) => file.write(bytes),
+        }
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        match &mut self.0 {
+            Target::Beside { file, .. } => file.flush(),
+            Target::Through(file) => file.flush(),
+        }
+    }
+}
+
+/// An error of `tempfile` without the name of the temporary file or folder, which nobody typed.
+pub fn unnamed(error: &io::Error) -> io::Error {
+    let said = error.to_string();
+    let of_system = said
+        .split_once(" at path \"")
+        .map_or(said.as_str(), |(before, _)| before);
+    io::Error::new(error.kind(), of_system)
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+    use std::fs;
+
+    #[test]
+    fn a_file_appears_only_when_it_is_finished() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("journal.jsonl");
+        let mut file = WholeFile::create(&path).unwrap();
+        file.write_all(b"one").unwrap();
+        drop(file);
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 0);
+        let mut file = WholeFile::create(&path).unwrap();
+        file.write_all(b"two").unwrap();
+        assert!(!path.exists());
+        file.finish().unwrap();
+        assert_eq!(fs::read(&path).unwrap(), b"two");
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
+    }
+
+    #[test]
+    fn a_file_being_written_has_no_name() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("journal.jsonl");
+        let mut file = WholeFile::create(&path).unwrap();
+        file.write_all(&[1; 100_000]).unwrap();
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 0);
+        file.finish().unwrap();
+        assert_eq!(fs::read(&path).unwrap(), [1; 100_000]);
+    }
+
+    #[test]
+    fn without_nameless_files_it_is_the_same_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let (one, other) = (folder.path().join("one"), folder.path().join("other"));
+        let mut named = WholeFile::begin(&one, |_| None).unwrap();
+        let mut unnamed = WholeFile::create(&other).unwrap();
+        for file in [&mut named, &mut unnamed] {
+            file.write_all(b"text").unwrap();
+        }
+        drop(WholeFile::begin(&one, |_| None).unwrap());
+        named.finish().unwrap();
+        unnamed.finish().unwrap();
+        let (one, other) = (fs::metadata(&one).unwrap(), fs::metadata(&other).unwrap());
+        assert_eq!(one.permissions(), other.permissions());
+        assert_eq!((one.len(), other.len()), (4, 4));
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 2);
+    }
+
+    #[test]
+    fn devices_are_written_through_and_folders_refused() {
+        WholeFile::create(Path::new("/dev/null"))
+            .unwrap()
+            .finish()
+            .unwrap();
+        assert!(!Path::new("/dev/null").metadata().unwrap().is_file());
+        assert!(WholeFile::create(tempfile::tempdir().unwrap().path()).is_err());
+        let error = WholeFile::create(Path::new("/no/such/folder/file"))
+            .err()
+            .unwrap();
+        assert_eq!(error.kind(), io::ErrorKind::NotFound);
+        assert_eq!(error.to_string(), "No such file or directory (os error 2)");
+    }
+
+    #[test]
+    fn a_link_stays_a_link() {
+        let folder = tempfile::tempdir().unwrap();
+        let (file, link) = (folder.path().join("a"), folder.path().join("b"));
+        fs::write(&file, "old").unwrap();
+        std::os::unix::fs::symlink(&file, &link).unwrap();
+        let mut whole = WholeFile::create(&link).unwrap();
+        whole.write_all(b"new").unwrap();
+        whole.finish().unwrap();
+        assert_eq!(fs::read(&file).unwrap(), b"new");
+        assert!(link.is_symlink());
+    }
+}

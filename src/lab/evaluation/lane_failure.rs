@@ -1,0 +1,853 @@
+//! Does the gap foretell that the lane model fails? Labelled drives under conditions that grow and fade, judged through
+//! every metric and by plainer baselines at the same rates of false alarms.
+//!
+//! A second is a failure when the lane IoU is below half of that of the same second in plain day. A drive has one event at
+//! most: the condition grows once. All thresholds come from nominal drives that are judged nowhere, and the forecast
+//! `lane-risk` is also judged under kinds of condition that it was not fitted on.
+
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+use super::domain_detection::WITHIN_S;
+use super::resampling::binomial_interval;
+use crate::calibration::survey::{Keep, Survey, SurveyFrame};
+use crate::calibration::{
+    Calibrated, CalibrationError, Domain, DriveScores, LabelledMeans, Wanted, calibrate,
+    drive_scores, is_judging,
+};
+use crate::features::energies::BlockMeans;
+use crate::features::lane::Overlap;
+use crate::lab::labelled::{LabelledSurvey, loss, training_frames};
+use crate::lab::scene::{Condition, ConditionKind, DriveSpec, RAMP_S};
+use crate::model::encoder::{Encoder, EncoderError};
+use crate::model::preprocess::Preprocessing;
+use crate::monitor::alarm::AlarmState;
+use crate::reference::Component;
+use crate::reference::gap::Metric;
+use crate::statistics::bootstrap::{ROUNDS, SplitMix64, percentile_interval};
+use crate::statistics::event_rate::poisson_interval;
+
+/// Frames a second of drives.
+const FPS: f64 = 5.0;
+/// Frames a second of the hours of nominal drives that set and judge thresholds.
+const HELD_OUT_FPS: f64 = 2.0;
+/// The condition has its severity from here, having grown for 2 s.
+const FULL_S: f64 = 8.0;
+/// It is gone here, having faded for 2 s.
+const GONE_S: f64 = 18.0;
+/// Length of a drive with a condition.
+const DRIVE_S: f64 = 22.0;
+/// A warning counts for a failure from this long before its onset,
+const BEFORE_S: f64 = 5.0;
+/// to this long after it.
+const AFTER_S: f64 = 1.0;
+/// Loss of lane IoU that is a failure.
+const FAILURE: f64 = 0.5;
+/// Loss of lane IoU over the whole condition up to which a shift is benign.
+const BENIGN: f64 = 0.1;
+/// Severity from which on a condition is to be found, failure or not.
+pub(super) const SEVERE: f32 = 3.0;
+/// Length of the window, seconds.
+const WINDOW_S: f64 = 1.0;
+/// Of the quicker forecast.
+const SHORT_WINDOW_S: f64 = 0.4;
+/// A warning that comes so long after the onset is late, but comes.
+const LATE_S: f64 = 3.0;
+/// Entries into `Gap` an hour of nominal driving at which all are compared.
+pub const RATES_PER_HOUR: [f64; 2] = [1.0, 0.1];
+
+/// First seeds: drives that make references, that set and judge thresholds, that teach `lane-risk`, and that are judged.
+pub const FIRST_SEEDS: [u64; 4] = [60_001, 61_001, 62_001, 63_001];
+
+/// Seeds of what is rendered, in words.
+pub fn seeds_of(sizes: Sizes) -> String {
+    let Sizes {
+        fitted,
+        held_out,
+        labelled,
+        roads,
+        ..
+    } = sizes;
+    let [a, b, c, d] = FIRST_SEEDS;
+    format!(
+        "references {a} and {fitted} drives on, thresholds {b} and {held_out} on, lane-risk {c} and {labelled} on, judged {d} and {roads} on"
+    )
+}
+
+/// How many drives are looked at.
+#[derive(Clone, Copy, Debug)]
+pub struct Sizes {
+    /// Nominal drives of 2 s that make the references.
+    pub fitted: u64,
+    /// Nominal drives that set and judge thresholds.
+    pub held_out: u64,
+    /// Their length, seconds.
+    pub held_out_s: f64,
+    /// Drives of 4 s that teach `lane-risk`, each plain and under every kind of condition.
+    pub labelled: u64,
+    /// Roads that are judged, each plain and under every kind of condition at severities 1 to 5.
+    pub roads: u64,
+}
+
+impl Sizes {
+    /// The full evaluation: 6 hours of nominal drives, 500 drives with conditions.
+    pub const FULL: Self = Self {
+        fitted: 600,
+        held_out: 72,
+        held_out_s: 300.0,
+        labelled: 40,
+        roads: 10,
+    };
+    /// A look at whether it works.
+    pub const QUICK: Self = Self {
+        fitted: 30,
+        held_out: 6,
+        held_out_s: 10.0,
+        labelled: 1,
+        roads: 1,
+    };
+
+    /// Drives in all.
+    pub fn drives(&self) -> u64 {
+        self.fitted + self.held_out + self.labelled + self.roads * (1 + CASES)
+    }
+}
+
+/// Kinds of condition times severities.
+const CASES: u64 = 5 * ConditionKind::ALL.len() as u64;
+
+/// How one method foretells failures, with thresholds for one rate of false alarms.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct LaneFailure {
+    /// A metric, or a baseline.
+    pub method: String,
+    /// What the encoder's inner values are not needed for, or only their mean.
+    pub baseline: bool,
+    /// Entries into `Gap` an hour of nominal driving that the thresholds are made for.
+    pub wanted_per_hour: f64,
+    /// Seconds under a condition that were judged.
+    pub seconds: u64,
+    /// Seconds that had no score.
+    pub unjudged_seconds: u64,
+    /// Of them that failed.
+    pub failed_seconds: u64,
+    /// Area under the ROC curve of the score for failed seconds among those under a condition; 95 % interval by
+    /// resampling roads.
+    pub auroc: Option<f64>,
+    /// See `auroc`.
+    pub auroc_interval: Option<(f64, f64)>,
+    /// Rank correlation of the score with the loss, over the same seconds.
+    pub spearman: Option<f64>,
+    /// See `spearman`.
+    pub spearman_interval: Option<(f64, f64)>,
+    /// Drives with a failure.
+    pub failures: u64,
+    /// Those in which `Gap` was entered from 5 s before to 1 s after its onset.
+    pub found: u64,
+    /// Those in which it was entered in that time or until 3 s after the onset.
+    #[serde(default)]
+    pub found_late: u64,
+    /// Share of those found in time.
+    pub recall: Option<f64>,
+    /// 95 % interval (Wilson; the roads are fewer than the drives).
+    pub recall_interval: (f64, f64),
+    /// Median time from entering `Gap` to the onset of the failure, of those found, seconds.
+    pub lead_median_s: Option<f64>,
+    /// Drives with a condition that entered `Gap`.
+    pub alarmed: u64,
+    /// `found` as a share of them. Where a warning comes before the condition has begun to grow, as of a tunnel in sight, the
+    /// drive counts as found alone.
+    pub precision: Option<f64>,
+    /// Drives that kept 0.9 of their lane IoU.
+    pub benign: u64,
+    /// Those of them that entered `Gap`.
+    pub benign_alarmed: u64,
+    /// Share of them.
+    pub benign_share: Option<f64>,
+    /// 95 % interval (Wilson).
+    pub benign_interval: (f64, f64),
+    /// Drives under a condition of severity 3 or more.
+    pub severe: u64,
+    /// Those in which `Gap` was entered from the condition's beginning to 2 s after it had its severity, failure or not.
+    pub severe_found: u64,
+    /// 95 % interval of their share (Wilson).
+    pub severe_interval: (f64, f64),
+    /// Entries into `Gap` on the nominal drives that judge; of a forecast a kind, those of the loudest.
+    pub false_alarms: u64,
+    /// Their hours.
+    pub nominal_hours: f64,
+    /// Entries an hour.
+    pub false_alarms_per_hour: f64,
+    /// 95 % interval (Poisson, exact).
+    pub false_alarms_interval: (f64, f64),
+}
+
+/// What can go wrong.
+#[derive(Debug, thiserror::Error)]
+pub enum LaneFailureError {
+    /// The encoder cannot be run.
+    #[error(transparent)]
+    Encoder(#[from] EncoderError),
+    /// A method has no thresholds.
+    #[error(transparent)]
+    Calibration(#[from] CalibrationError),
+}
+
+/// Everything that was looked at, once for all methods.
+pub(super) struct Looked {
+    taps: Vec<String>,
+    pub(super) fitted: Vec<LabelledSurvey>,
+    pub(super) held_out: Vec<LabelledSurvey>,
+    pub(super) labelled: Vec<(ConditionKind, LabelledMeans)>,
+    pub(super) judged: Vec<Judged>,
+}
+
+/// A drive with a condition.
+pub(super) struct Judged {
+    road: usize,
+    pub(super) condition: Condition,
+    pub(super) drive: LabelledSurvey,
+    /// Loss of each second; `None` where the lanes are too faint in plain day.
+    losses: Vec<Option<f64>>,
+    /// The condition costs next to nothing.
+    benign: bool,
+}
+
+/// Judges every metric that has a window, `lane-risk`, and the baselines. `encoder` must have its lane head; `seen` is
+/// called after each drive.
+///
+/// # Errors
+/// When the encoder cannot be run, or nominal drives give a method no thresholds.
+pub fn rows(
+    taps: &[String],
+    encoder: &Encoder,
+    preprocessing: &Preprocessing,
+    sizes: Sizes,
+    seen: &(dyn Fn() + Sync),
+) -> Result<Vec<LaneFailure>, LaneFailureError> {
+    let looked = Looked::at(taps, encoder, preprocessing, sizes, seen)?;
+    let windowed = Metric::all()
+        .into_iter()
+        .filter(|&metric| metric != Metric::Frechet)
+        .map(Method::Metric);
+    let methods: Vec<Method> = windowed
+        .chain([
+            Method::LaneRiskOfOtherKinds,
+            Method::QuickLaneRisk,
+            Method::MeanAttention,
+            Method::BrightnessAndContrast,
+        ])
+        .collect();
+    let rows = methods
+        .par_iter()
+        .map(|method| looked.rows_of(*method))
+        .collect::<Result<Vec<_>, _>>()?;
+    Ok(rows.concat())
+}
+
+/// What makes a score of a frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Method {
+    /// A metric on all taps.
+    Metric(Metric),
+    /// The forecast `lane-risk`, each kind of condition judged by a forecast that was fitted on the others.
+    LaneRiskOfOtherKinds,
+    /// The forecast over a shorter window.
+    QuickLaneRisk,
+    /// Mean of the energy map over its largest value, tap by tap (the score of ThirdEye, Stocco et al. 2022).
+    MeanAttention,
+    /// Mean and standard deviation of the grey levels of the picture.
+    BrightnessAndContrast,
+}
+
+impl Method {
+    fn name(self) -> String {
+        match self {
+            Self::Metric(metric) => metric.to_string(),
+            Self::LaneRiskOfOtherKinds => format!("{}, fitted on other kinds", Metric::LaneRisk),
+            Self::QuickLaneRisk => format!("{}, window {SHORT_WINDOW_S} s", Metric::LaneRisk),
+            Self::MeanAttention => "mean attention".to_owned(),
+            Self::BrightnessAndContrast => "brightness and contrast".to_owned(),
+        }
+    }
+
+    fn is_baseline(self) -> bool {
+        matches!(
+            self,
+            Self::MeanAttention | Self::BrightnessAndContrast | Self::Metric(Metric::Paper)
+        )
+    }
+
+    fn metric(self) -> Metric {
+        match self {
+            Self::Metric(metric) => metric,
+            Self::LaneRiskOfOtherKinds | Self::QuickLaneRisk => Metric::LaneRisk,
+            Self::MeanAttention | Self::BrightnessAndContrast => Metric::Mahalanobis,
+        }
+    }
+
+    /// Length of its window, seconds.
+    fn window_s(self) -> f64 {
+        match self {
+            Self::QuickLaneRisk => SHORT_WINDOW_S,
+            _ => WINDOW_S,
+        }
+    }
+
+    /// Names of the blocks that it looks at.
+    fn taps(self, taps: &[String]) -> Vec<String> {
+        match self {
+            Self::Metric(_) | Self::LaneRiskOfOtherKinds | Self::QuickLaneRisk => taps.to_vec(),
+            Self::MeanAttention | Self::BrightnessAndContrast => vec![self.name()],
+        }
+    }
+
+    /// A drive as the method sees it.
+    fn survey(self, drive: &LabelledSurvey) -> Survey {
+        let frames = drive.survey.frames.iter().zip(&drive.grey);
+        Survey {
+            source: drive.survey.source.clone(),
+            times: drive.survey.times.clone(),
+            frames: frames
+                .map(|(frame, grey)| match frame {
+                    Ok(frame) => Ok(self.frame(frame, *grey)),
+                    Err(why) => Err(why.clone()),
+                })
+                .collect(),
+            common_size: drive.survey.common_size,
+        }
+    }
+
+    #[allow(clippy::cast_precision_loss)]
+    fn frame(self, frame: &SurveyFrame, grey: [f64; 2]) -> SurveyFrame {
+        let plain = |energy: Vec<f64>, peak: f64| SurveyFrame {
+            maps: Vec::new(),
+            peaks: vec![peak],
+            means: vec![BlockMeans {
+                activation: Vec::new(),
+                energy,
+            }],
+        };
+        match self {
+            Self::Metric(metric) => SurveyFrame {
+                maps: match metric.divergence() {
+                    Some(_) => frame.maps.clone(),
+                    None => Vec::new(),
+                },
+                ..frame.clone()
+            },
+            Self::LaneRiskOfOtherKinds | Self::QuickLaneRisk => {
+                Self::Metric(Metric::LaneRisk).frame(frame, grey)
+            }
+            Self::MeanAttention => {
+                let means = frame.maps.iter().zip(&frame.peaks).map(|(map, peak)| {
+                    map.energy.iter().sum::<f64>() / (map.energy.len() as f64 * peak)
+                });
+                plain(means.collect(), 1.0)
+            }
+            Self::BrightnessAndContrast => plain(grey.to_vec(), 255.0),
+        }
+    }
+}
+
+/// Thresholds of a method, and what it says of the drives that judge them.
+struct Judge {
+    components: Vec<Component>,
+    /// By rate, the factor on the thresholds of the components.
+    factors: Vec<f64>,
+}
+
+impl Looked {
+    pub(super) fn at(
+        taps: &[String],
+        encoder: &Encoder,
+        preprocessing: &Preprocessing,
+        sizes: Sizes,
+        seen: &(dyn Fn() + Sync),
+    ) -> Result<Self, EncoderError> {
+        let [fitted, held_out, labelled, judged] = FIRST_SEEDS;
+        let look = |spec: &DriveSpec| {
+            let drive = LabelledSurvey::of(spec, encoder, preprocessing, Keep::Maps)?;
+            seen();
+            Ok::<_, EncoderError>(drive)
+        };
+        let nominal = |first: u64, count: u64, seconds: f64, fps: f64| {
+            (first..first + count)
+                .into_par_iter()
+                .map(|seed| look(&drive_spec(seed, seconds, fps)))
+                .collect::<Result<Vec<_>, _>>()
+        };
+        let labelled_drives: Vec<DriveSpec> = (labelled..labelled + sizes.labelled)
+            .map(|seed| drive_spec(seed, 4.0, HELD_OUT_FPS))
+            .collect();
+        let clean = nominal(judged, sizes.roads, DRIVE_S, FPS)?;
+        let cases: Vec<(usize, Condition)> = (0..clean.len())
+            .flat_map(|road| {
+                let kinds = ConditionKind::ALL.into_iter();
+                kinds.flat_map(move |kind| {
+                    (1..=5_u8).map(move |severity| {
+                        let condition = Condition {
+                            kind,
+                            severity: f32::from(severity),
+                            span_s: Some((FULL_S, GONE_S)),
+                        };
+                        (road, condition)
+                    })
+                })
+            })
+            .collect();
+        let judged = cases
+            .into_par_iter()
+            .map(|(road, condition)| {
+                let mut spec = drive_spec(judged + road as u64, DRIVE_S, FPS);
+                spec.conditions.push(condition);
+                let drive = look(&spec)?;
+                Ok(Judged::new(road, condition, drive, &clean[road]))
+            })
+            .collect::<Result<Vec<_>, EncoderError>>()?;
+        Ok(Self {
+            taps: taps.to_vec(),
+            fitted: nominal(fitted, sizes.fitted, 2.0, FPS)?,
+            held_out: nominal(held_out, sizes.held_out, sizes.held_out_s, HELD_OUT_FPS)?,
+            labelled: training_frames(&labelled_drives, encoder, preprocessing, seen)?,
+            judged,
+        })
+    }
+
+    fn rows_of(&self, method: Method) -> Result<Vec<LaneFailure>, CalibrationError> {
+        let views = |drives: &[LabelledSurvey]| -> Vec<Survey> {
+            drives.iter().map(|drive| method.survey(drive)).collect()
+        };
+        let (fitted, held_out) = (views(&self.fitted), views(&self.held_out));
+        let judge = |left_out: Option<ConditionKind>| {
+            let labelled = self.labelled_without(method, left_out);
+            Judge::new(method, &self.taps, &fitted, &held_out, &labelled)
+        };
+        let judges: Vec<(Option<ConditionKind>, Judge)> = match method {
+            Method::LaneRiskOfOtherKinds => ConditionKind::ALL
+                .into_iter()
+                .map(|kind| Ok((Some(kind), judge(Some(kind))?)))
+                .collect::<Result<_, CalibrationError>>()?,
+            _ => vec![(None, judge(None)?)],
+        };
+        let (metric, window_s) = (method.metric(), method.window_s());
+        // One judge a kind; nominal drives are judged by each of them, and the loudest counts.
+        let mut drives: Vec<(&Judged, DriveScores, usize)> = Vec::new();
+        for (index, (kind, judge)) in judges.iter().enumerate() {
+            for judged in &self.judged {
+                if kind.is_none_or(|kind| kind == judged.condition.kind) {
+                    let view = method.survey(&judged.drive);
+                    let scores = drive_scores(&view, metric, window_s, &judge.components);
+                    drives.push((judged, scores, index));
+                }
+            }
+        }
+        let judging: Vec<Vec<DriveScores>> = judges
+            .iter()
+            .map(|(_, judge)| {
+                let judging = held_out
+                    .iter()
+                    .enumerate()
+                    .filter(|(index, _)| is_judging(*index))
+                    .map(|(_, drive)| drive);
+                judging
+                    .map(|drive| drive_scores(drive, metric, window_s, &judge.components))
+                    .collect()
+            })
+            .collect();
+        let ranks = Ranks::of(&drives);
+        let ranked = ranks.row(method);
+        let rate = |(index, &wanted): (usize, &f64)| {
+            let factor = |judge: usize| judges[judge].1.factors[index];
+            let mut row = LaneFailure {
+                wanted_per_hour: wanted,
+                ..ranked.clone()
+            };
+            row.count(
+                drives
+                    .iter()
+                    .map(|(judged, scores, judge)| (*judged, Entered::of(scores, factor(*judge)))),
+            );
+            let nominal = judging.iter().enumerate().map(|(judge, drives)| {
+                let hours: f64 = drives.iter().map(DriveScores::hours).sum();
+                let entries: u64 = drives.iter().map(|d| d.entries(factor(judge))).sum();
+                (entries, hours)
+            });
+            row.count_nominal(nominal.collect());
+            row
+        };
+        Ok(RATES_PER_HOUR.iter().enumerate().map(rate).collect())
+    }
+
+    fn labelled_without(
+        &self,
+        method: Method,
+        left_out: Option<ConditionKind>,
+    ) -> Vec<LabelledMeans> {
+        if method.metric() != Metric::LaneRisk {
+            return Vec::new();
+        }
+        let kept = self
+            .labelled
+            .iter()
+            .filter(|(kind, _)| Some(*kind) != left_out);
+        kept.map(|(_, frame)| frame.clone()).collect()
+    }
+}
+
+fn drive_spec(seed: u64, seconds: f64, fps: f64) -> DriveSpec {
+    DriveSpec {
+        seed,
+        seconds,
+        fps,
+        ..DriveSpec::default()
+    }
+}
+
+impl Judge {
+    fn new(
+        method: Method,
+        taps: &[String],
+        fitted: &[Survey],
+        held_out: &[Survey],
+        labelled: &[LabelledMeans],
+    ) -> Result<Self, CalibrationError> {
+        let domain = Domain {
+            name: "simulation".to_owned(),
+            drives: fitted,
+        };
+        let wanted = Wanted {
+            metric: method.metric(),
+            window_s: method.window_s(),
+            false_alarms_per_hour: RATES_PER_HOUR[0],
+        };
+        let Calibrated {
+            components,
+            false_alarms,
+            ..
+        } = calibrate(&[domain], held_out, labelled, &method.taps(taps), wanted)?;
+        let factors = RATES_PER_HOUR.map(|rate| {
+            let of = |per_hour: f64| per_hour.total_cmp(&rate).is_eq();
+            let found = false_alarms.factors.iter().find(|f| of(f.per_hour));
+            found.map_or(1.0, |f| f.factor / false_alarms.factor)
+        });
+        Ok(Self {
+            components,
+            factors: factors.to_vec(),
+        })
+    }
+}
+
+impl Judged {
+    fn new(
+        road: usize,
+        condition: Condition,
+        drive: LabelledSurvey,
+        clean: &LabelledSurvey,
+    ) -> Self {
+        let second =
+            |of: &LabelledSurvey, second: usize| {
+                let frames = of.survey.times.iter().zip(&of.overlaps);
+                pooled(frames.filter_map(|(at, &overlap)| {
+                    (at.as_secs() == second as u64).then_some(overlap)
+                }))
+            };
+        // A few tens of seconds.
+        #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)]
+        let seconds = DRIVE_S as usize;
+        let losses = (0..seconds)
+            .map(|at| loss(second(&drive, at), second(clean, at)))
+            .collect();
+        let full = |of: &LabelledSurvey| {
+            let frames = of.survey.times.iter().zip(&of.overlaps);
+            pooled(frames.filter_map(|(at, &overlap)| {
+                let full = FULL_S..GONE_S - RAMP_S;
+                full.contains(&at.as_secs_f64()).then_some(overlap)
+            }))
+        };
+        Self {
+            road,
+            condition,
+            benign: loss(full(&drive), full(clean)).is_some_and(|loss| loss <= BENIGN),
+            drive,
+            losses,
+        }
+    }
+
+    /// When the first failing second begins.
+    #[allow(clippy::cast_precision_loss)]
+    fn failure_s(&self) -> Option<f64> {
+        let failed = |loss: &Option<f64>| loss.is_some_and(|loss| loss > FAILURE);
+        self.losses.iter().position(failed).map(|at| at as f64)
+    }
+}
+
+fn pooled(overlaps: impl Iterator<Item = Overlap>) -> Overlap {
+    overlaps.fold(Overlap::default(), |sum, one| Overlap {
+        both: sum.both + one.both,
+        either: sum.either + one.either,
+    })
+}
+
+/// When a condition begins to grow, seconds.
+pub(super) fn onset_s() -> f64 {
+    FULL_S - RAMP_S
+}
+
+/// Entries into `Gap` of one drive.
+pub(super) struct Entered {
+    at_s: Vec<f64>,
+}
+
+impl Entered {
+    pub(super) fn of(scores: &DriveScores, factor: f64) -> Self {
+        let mut before = AlarmState::Init;
+        let entries = scores.states(factor).filter_map(|(at, state)| {
+            let entered = state == AlarmState::Gap && before != AlarmState::Gap;
+            before = state;
+            entered.then_some(at.as_secs_f64())
+        });
+        Self {
+            at_s: entries.collect(),
+        }
+    }
+
+    /// Entries after the condition began to grow.
+    fn in_condition(&self) -> bool {
+        self.at_s.iter().any(|&at| at >= onset_s() && at <= GONE_S)
+    }
+
+    /// An entry at most 2 s after the condition has its severity. The portal of a tunnel is in sight all the while before.
+    pub(super) fn soon(&self, kind: ConditionKind) -> Option<f64> {
+        let from = match kind {
+            ConditionKind::Tunnel => 0.0,
+            _ => onset_s(),
+        };
+        let soon = from..=FULL_S + WITHIN_S;
+        self.at_s.iter().copied().find(|at| soon.contains(at))
+    }
+
+    /// The entry that warns of a failure, at most `after_s` after its onset.
+    fn warning(&self, failure_s: f64, after_s: f64) -> Option<f64> {
+        let counts = failure_s - BEFORE_S..=failure_s + after_s;
+        self.at_s.iter().copied().find(|at| counts.contains(at))
+    }
+}
+
+impl LaneFailure {
+    fn count<'a>(&mut self, drives: impl Iterator<Item = (&'a Judged, Entered)>) {
+        let mut leads = Vec::new();
+        for (judged, entered) in drives {
+            if judged.condition.severity >= SEVERE {
+                self.severe += 1;
+                self.severe_found += u64::from(entered.soon(judged.condition.kind).is_some());
+            }
+            let alarmed = entered.in_condition();
+            self.alarmed += u64::from(alarmed);
+            if let Some(failure_s) = judged.failure_s() {
+                self.failures += 1;
+                let late = entered.warning(failure_s, LATE_S).is_some();
+                self.found_late += u64::from(late);
+                if let Some(warning_s) = entered.warning(failure_s, AFTER_S) {
+                    self.found += 1;
+                    leads.push(failure_s - warning_s);
+                }
+            } else if judged.benign {
+                self.benign += 1;
+                self.benign_alarmed += u64::from(alarmed);
+            }
+        }
+        self.severe_interval = binomial_interval(self.severe_found, self.severe);
+        leads.sort_by(f64::total_cmp);
+        self.lead_median_s = leads.get(leads.len() / 2).copied();
+        self.recall = share(self.found, self.failures);
+        self.recall_interval = binomial_interval(self.found, self.failures);
+        self.precision = share(self.found, self.alarmed);
+        self.benign_share = share(self.benign_alarmed, self.benign);
+        self.benign_interval = binomial_interval(self.benign_alarmed, self.benign);
+    }
+
+    /// Entries and hours by judge: the loudest of several counts.
+    #[allow(clippy::cast_precision_loss)]
+    fn count_nominal(&mut self, by_judge: Vec<(u64, f64)>) {
+        let worst = by_judge.into_iter().max_by_key(|&(entries, _)| entries);
+        let (entries, hours) = worst.unwrap_or_default();
+        self.false_alarms = entries;
+        self.nominal_hours = hours;
+        self.false_alarms_per_hour = entries as f64 / hours.max(f64::MIN_POSITIVE);
+        self.false_alarms_interval = poisson_interval(entries, hours);
+    }
+}
+
+#[allow(clippy::cast_precision_loss)]
+fn share(of: u64, all: u64) -> Option<f64> {
+    (all > 0).then(|| of as f64 / all as f64)
+}
+
+/// Scores and losses of seconds under a condition, by road.
+pub(super) struct Ranks {
+    by_road: Vec<Vec<(f64, f64)>>,
+    unjudged: u64,
+}
+
+impl Ranks {
+    pub(super) fn of(drives: &[(&Judged, DriveScores, usize)]) -> Self {
+        let roads = drives.iter().map(|(judged, ..)| judged.road + 1).max();
+        let mut ranks = Self {
+            by_road: vec![Vec::new(); roads.unwrap_or(0)],
+            unjudged: 0,
+        };
+        for (judged, scores, _) in drives {
+            for (second, loss) in judged.losses.iter().enumerate() {
+                #[allow(clippy::cast_precision_loss)]
+                let under = (onset_s()..GONE_S).contains(&(second as f64));
+                let Some(loss) = loss.filter(|_| under) else {
+                    continue;
+                };
+                // The window of the second's last frame is the second.
+                let frames = scores
+                    .scores()
+                    .filter(|(at, _)| at.as_secs() == second as u64);
+                match frames.last().and_then(|(_, score)| score) {
+                    Some(score) => ranks.by_road[judged.road].push((score, loss)),
+                    None => ranks.unjudged += 1,
+                }
+            }
+        }
+        ranks
+    }
+
+    /// Over all roads.
+    pub(super) fn auroc(&self) -> Option<f64> {
+        auroc(&self.by_road.concat())
+    }
+
+    fn row(&self, method: Method) -> LaneFailure {
+        let all = self.by_road.concat();
+        let mut dice = SplitMix64::new(0);
+        let (mut aurocs, mut spearmans) = (Vec::new(), Vec::new());
+        for _ in 0..ROUNDS {
+            let drawn: Vec<(f64, f64)> = (0..self.by_road.len())
+                .flat_map(|_| &self.by_road[dice.below(self.by_road.len())])
+                .copied()
+                .collect();
+            aurocs.extend(auroc(&drawn));
+            spearmans.extend(spearman(&drawn));
+        }
+        LaneFailure {
+            method: method.name(),
+            baseline: method.is_baseline(),
+            wanted_per_hour: 0.0,
+            seconds: all.len() as u64,
+            unjudged_seconds: self.unjudged,
+            failed_seconds: all.iter().filter(|(_, loss)| *loss > FAILURE).count() as u64,
+            auroc: auroc(&all),
+            auroc_interval: percentile_interval(aurocs),
+            spearman: spearman(&all),
+            spearman_interval: percentile_interval(spearmans),
+            failures: 0,
+            found: 0,
+            found_late: 0,
+            recall: None,
+            recall_interval: (0.0, 1.0),
+            lead_median_s: None,
+            alarmed: 0,
+            precision: None,
+            benign: 0,
+            benign_alarmed: 0,
+            benign_share: None,
+            benign_interval: (0.0, 1.0),
+            severe: 0,
+            severe_found: 0,
+            severe_interval: (0.0, 1.0),
+            false_alarms: 0,
+            nominal_hours: 0.0,
+            false_alarms_per_hour: 0.0,
+            false_alarms_interval: (0.0, 0.0),
+        }
+    }
+}
+
+/// Ranks from 1; equal values share the mean of theirs.
+#[allow(clippy::cast_precision_loss)]
+fn ranks(values: &[f64]) -> Vec<f64> {
+    let mut order: Vec<usize> = (0..values.len()).collect();
+    order.sort_by(|&a, &b| values[a].total_cmp(&values[b]));
+    let mut ranks = vec![0.0; values.len()];
+    let mut below = 0;
+    for tied in order.chunk_by(|&a, &b| values[a].total_cmp(&values[b]).is_eq()) {
+        let rank = below as f64 + 0.5 * (tied.len() as f64 + 1.0);
+        tied.iter().for_each(|&index| ranks[index] = rank);
+        below += tied.len();
+    }
+    ranks
+}
+
+/// Area under the ROC curve of scores for losses that are failures.
+#[allow(clippy::cast_precision_loss)]
+fn auroc(seconds: &[(f64, f64)]) -> Option<f64> {
+    let scores: Vec<f64> = seconds.iter().map(|(score, _)| *score).collect();
+    let ranks = ranks(&scores);
+    let failed = seconds
+        .iter()
+        .zip(&ranks)
+        .filter(|((_, loss), _)| *loss > FAILURE);
+    let (count, sum) = failed.fold((0, 0.0), |(n, sum), (_, rank)| (n + 1, sum + rank));
+    let others = seconds.len() - count;
+    let (n, m) = (count as f64, others as f64);
+    (count > 0 && others > 0).then(|| (sum - n * (n + 1.0) / 2.0) / (n * m))
+}
+
+/// Rank correlation of scores with losses.
+#[allow(clippy::cast_precision_loss)]
+fn spearman(seconds: &[(f64, f64)]) -> Option<f64> {
+    let (scores, losses): (Vec<f64>, Vec<f64>) = seconds.iter().copied().unzip();
+    let (a, b) = (ranks(&scores), ranks(&losses));
+    let mean = (seconds.len() as f64 + 1.0) / 2.0;
+    let sum = |x: &[f64], y: &[f64]| -> f64 {
+        let parts = x.iter().zip(y).map(|(x, y)| (x - mean) * (y - mean));
+        parts.sum()
+    };
+    let scale = (sum(&a, &a) * sum(&b, &b)).sqrt();
+    (scale > 0.0).then(|| sum(&a, &b) / scale)
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, clippy::float_cmp)]
+    use super::*;
+
+    #[test]
+    fn ranks_of_ties_are_shared() {
+        assert_eq!(ranks(&[3.0, 1.0, 3.0, 2.0]), [3.5, 1.0, 3.5, 2.0]);
+    }
+
+    #[test]
+    fn auroc_and_spearman_by_hand() {
+        let seconds = [(0.1, 0.0), (0.4, 0.9), (0.3, 0.6), (0.35, 0.2)];
+        // Of the 2 x 2 pairs one is the wrong way round.
+        assert_eq!(auroc(&seconds), Some(0.75));
+        // Rank differences 0, 0, 1, 1: 1 - 6 x 2 / (4 x 15).
+        assert!((spearman(&seconds).unwrap() - 0.8).abs() < 1e-12);
+        assert_eq!(auroc(&seconds[..1]), None);
+        assert_eq!(spearman(&seconds[..1]), None);
+    }
+
+    #[test]
+    fn an_entry_warns_from_5_s_before_to_1_s_after() {
+        let entered = Entered {
+            at_s: vec![6.5, 17.0],
+        };
+        assert_eq!(entered.warning(11.5, AFTER_S), Some(6.5));
+        assert_eq!(entered.warning(5.5, AFTER_S), Some(6.5));
+        assert_eq!(entered.warning(12.0, AFTER_S), None);
+        assert_eq!(entered.warning(16.0, AFTER_S), Some(17.0));
+        assert!(entered.in_condition());
+        assert!(
+            !Entered {
+                at_s: vec![3.0, 19.0]
+            }
+            .in_condition()
+        );
+    }
+}

@@ -1,0 +1,130 @@
+//! Drives through the monitor, as scores from which the chain behind them can be run at any rate of false alarms.
+
+use std::time::Duration;
+
+use rayon::prelude::*;
+
+use crate::calibration::DriveScores;
+use crate::capture::pixels::Pixels;
+use crate::capture::{Frame, Picture};
+use crate::lab::scene::{Condition, Drive, Look, Renderer, World};
+use crate::model::encoder::{Encoder, EncoderError};
+use crate::monitor::alarm::Reason;
+use crate::monitor::pipeline::Monitor;
+use crate::reference::Reference;
+
+/// What a drive shows from a time on.
+#[derive(Clone, Debug)]
+pub enum Shown {
+    /// A rendered drive.
+    Drive {
+        /// The world's look.
+        look: Look,
+        /// The drive's seed.
+        seed: u64,
+        /// Its conditions.
+        conditions: Vec<Condition>,
+    },
+    /// Random pixels.
+    Noise {
+        /// Their seed.
+        seed: u64,
+    },
+}
+
+/// A drive of parts, each from a time on.
+#[derive(Clone, Debug)]
+pub struct Script {
+    /// Parts and the seconds at which they begin, rising from 0.
+    pub parts: Vec<(f64, Shown)>,
+    /// Length, seconds.
+    pub seconds: f64,
+    /// Frames a second.
+    pub fps: f64,
+}
+
+/// Scores of every script; `seen` is called after each.
+///
+/// # Errors
+/// When the encoder cannot be run at all.
+pub fn scores_of(
+    scripts: &[Script],
+    encoder: &Encoder,
+    reference: &Reference,
+    seen: &(dyn Fn() + Sync),
+) -> Result<Vec<DriveScores>, EncoderError> {
+    scripts
+        .par_iter()
+        .map(|script| {
+            let scores = script.scores(encoder, reference)?;
+            seen();
+            Ok(scores)
+        })
+        .collect()
+}
+
+impl Script {
+    fn scores(
+        &self,
+        encoder: &Encoder,
+        reference: &Reference,
+    ) -> Result<DriveScores, EncoderError> {
+        let mut monitor = Monitor::new(encoder, reference)?;
+        let of = &reference.model.preprocessing;
+        let mut renderer = Renderer::new(of.width, of.height);
+        let drives: Vec<(f64, Option<Drive>, u64)> = self
+            .parts
+            .iter()
+            .map(|(from_s, shown)| match shown {
+                Shown::Drive {
+                    look,
+                    seed,
+                    conditions,
+                } => {
+                    let drive = Drive::new(&World::of(*look), *seed, conditions);
+                    (*from_s, Some(drive), 0)
+                }
+                Shown::Noise { seed } => (*from_s, None, *seed),
+            })
+            .collect();
+        let mut scores = DriveScores::default();
+        // Lengths and rates are those of evaluations: small numbers.
+        #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)]
+        let frames = (self.seconds * self.fps).ceil() as u64;
+        for sequence in 0..frames {
+            #[allow(clippy::cast_precision_loss)]
+            let at_s = sequence as f64 / self.fps;
+            let part = drives.iter().rev().find(|(from_s, ..)| *from_s <= at_s);
+            let Some((_, drive, noise)) = part else {
+                continue;
+            };
+            let rgb = match drive {
+                Some(drive) => renderer.render(drive, at_s).rgb.to_vec(),
+                None => noise_pixels(*noise, sequence, (of.width * of.height) as usize),
+            };
+            let verdict = monitor.step(&Frame {
+                sequence,
+                captured_at: Duration::from_secs_f64(at_s),
+                picture: Ok(Pixels::from(Picture {
+                    width: of.width,
+                    height: of.height,
+                    rgb,
+                })),
+            });
+            match (verdict.score, &verdict.undefined) {
+                (Some(score), _) => {
+                    let settled = verdict.window_fill.is_some_and(|fill| fill >= 1.0);
+                    scores.add(verdict.at, score, settled);
+                }
+                (None, Some(why)) => scores.add_unjudged(verdict.at, Reason::from(why)),
+                (None, None) => scores.add_unjudged(verdict.at, Reason::Undefined),
+            }
+        }
+        Ok(scores)
+    }
+}
+
+fn noise_pixels(seed: u64, sequence: u64, pixels: usize) -> Vec<u8> {
+    let mut dice = crate::statistics::bootstrap::SplitMix64::new(seed ^ (sequence << 20));
+    (0..3 * pixels).map(|_| dice.byte()).collect()
+}

@@ -1,0 +1,652 @@
+//! `boards/*.toml` → [`Board`]: what is plugged where, checked once at start.
+//!
+//! Owns the words of a board file. Refuses what it does not know: a misspelt key is an error with its line, never a
+//! default that nobody asked for.
+
+mod evidence;
+
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use crate::can::speed::SpeedSignal;
+use crate::can::{CanSettings, CanSettingsError, LARGEST_ID, MessageIds, Sink};
+use crate::capture::{CAMERA_FORMATS, CameraWish, camera_of};
+use crate::files::toml_keys::{self, Document, Keys, Kind, Wrong};
+use crate::files::whole_file::read_text;
+
+pub use evidence::{EvidenceBoard, KEEP};
+
+/// Largest file.
+const BYTES_MAX: u64 = 1 << 16;
+/// Most frames a second that a board may ask for.
+const RATE_MAX_HZ: f64 = 240.0;
+/// Frames a second that are judged, unless the board says otherwise.
+const RATE_HZ: f64 = 10.0;
+/// Time of listening, unless the board says otherwise.
+const LISTEN: Duration = Duration::from_secs(2);
+/// A car slower than this stands, unless the board says otherwise.
+const PARKED_BELOW_KMH: f64 = 1.0;
+/// And one that stands for this long is parked: at a crossing it does not.
+const PARKED_AFTER: Duration = Duration::from_secs(60);
+/// A frame may take this share of the time between two, unless the board says otherwise: the rest is for everyone else.
+const FRAME_SHARE: f64 = 0.5;
+/// Memory that is allowed, unless the board says otherwise, MiB: thrice what the shipped model needs, and frames of 1080p.
+const MEMORY_MIB: f64 = 192.0;
+/// Most milliseconds or MiB that a board may allow.
+const AMOUNT_MAX: f64 = 100_000.0;
+/// Longest time that a board may ask for: of listening, and of standing before the car is parked.
+const SECONDS_MAX: f64 = 60.0;
+/// Longest time of listening, seconds: half of what the service has to start in.
+const LISTEN_MAX: f64 = 30.0;
+
+/// A board file that cannot be followed.
+#[derive(Debug, thiserror::Error)]
+pub enum BoardError {
+    /// It cannot be read.
+    #[error("{}: {error}", path.display())]
+    Unreadable {
+        /// Which file.
+        path: PathBuf,
+        /// Why.
+        error: std::io::Error,
+    },
+    /// Something in it is not understood.
+    #[error("{}:{line}: {what}", path.display())]
+    Wrong {
+        /// Which file.
+        path: PathBuf,
+        /// Line, from 1.
+        line: usize,
+        /// What was found and what would do.
+        what: String,
+    },
+}
+
+/// What a monitor is to do on one computer.
+#[derive(Clone, Debug)]
+pub struct Board {
+    /// Where frames come from.
+    pub camera: CameraBoard,
+    /// Where warnings go.
+    pub can: CanBoard,
+    /// How the road is watched.
+    pub monitor: MonitorBoard,
+    /// Pictures of alarms; `None` = none are kept.
+    pub evidence: Option<EvidenceBoard>,
+    /// What a frame may cost; the doctor checks it.
+    pub budget: Budget,
+}
+
+/// Where frames come from.
+#[derive(Clone, Debug)]
+pub struct CameraBoard {
+    /// `v4l2:/dev/videoN`, or any recorded or rendered drive, which is then shown at its own pace.
+    pub source: String,
+    /// What to ask a camera for.
+    pub wish: CameraWish,
+}
+
+/// Where warnings go.
+#[derive(Clone, Debug)]
+pub struct CanBoard {
+    /// The bus or log.
+    pub sink: Sink,
+    /// Identifiers and periods.
+    pub settings: CanSettings,
+    /// How long to listen for others on our identifiers before the first frame is sent.
+    pub listen: Duration,
+}
+
+/// How the road is watched.
+#[derive(Clone, Debug)]
+pub struct MonitorBoard {
+    /// Reference file; `None` = the one inside the program.
+    pub reference: Option<PathBuf>,
+    /// Model file; `None` = the one inside the program.
+    pub model: Option<PathBuf>,
+    /// A reference made of simulation alone is accepted, although any real road is a gap to it.
+    pub strict: bool,
+    /// Most frames a second that are judged.
+    pub rate_hz: f64,
+    /// Frames a second while the road is clearly nominal or the car parked; as `rate_hz` unless the board says less.
+    pub idle_rate_hz: f64,
+}
+
+/// What a frame may cost.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Budget {
+    /// Time from a frame to its verdict, 99 of 100 frames.
+    pub frame: Duration,
+    /// Memory of the whole program, MiB.
+    pub memory_mib: f64,
+}
+
+/// Words of `[camera]` source.
+fn source() -> Kind<String> {
+    toml_keys::text("v4l2:/dev/videoN, or a rendered or recorded drive").or_say(|source| {
+        match camera_of(&source) {
+            Some(camera) => Err(format!("a camera is written {camera:?}, found {source:?}")),
+            None if source == "v4l2:" => {
+                Err("\"v4l2:\" names no device; wanted one, as in \"v4l2:/dev/video0\"".to_owned())
+            }
+            None => Ok(source),
+        }
+    })
+}
+
+/// Width and height, pixels.
+fn size() -> Kind<(u32, u32)> {
+    toml_keys::text("\"WIDTHxHEIGHT\", each from 16 to 8192").of(|word| {
+        let side = |side: &str| side.parse().ok().filter(|s| (16..=8_192).contains(s));
+        let (width, height) = word.split_once('x')?;
+        Some((side(width)?, side(height)?))
+    })
+}
+
+fn file_name() -> Kind<PathBuf> {
+    toml_keys::text("the name of a file").of(|name| Some(PathBuf::from(name)))
+}
+
+/// Frames a second.
+fn rate() -> Kind<f64> {
+    toml_keys::number(0.1..=RATE_MAX_HZ, " a second")
+}
+
+fn seconds(most: f64) -> Kind<Duration> {
+    toml_keys::number(0.0..=most, " seconds").of(|s| Some(Duration::from_secs_f64(s)))
+}
+
+/// Milliseconds or MiB.
+fn amount() -> Kind<f64> {
+    toml_keys::number(1.0..=AMOUNT_MAX, "")
+}
+
+fn can_id() -> Kind<u16> {
+    toml_keys::whole(0..=LARGEST_ID, "")
+        .wanting(format!("an identifier of 11 bits, 0 to {LARGEST_ID:#X}"))
+}
+
+/// A period, longer than `above`.
+fn milliseconds(above: Duration) -> Kind<Duration> {
+    let least = u16::try_from(above.as_millis())
+        .unwrap_or(u16::MAX)
+        .saturating_add(1);
+    toml_keys::whole(least..=u16::MAX, " milliseconds")
+        .of(|ms| Some(Duration::from_millis(ms.into())))
+}
+
+impl Board {
+    /// Reads a board file. Models, references and folders of evidence in it are taken from its folder.
+    ///
+    /// # Errors
+    /// When the file cannot be read, or anything in it is not understood.
+    pub fn read(path: &Path) -> Result<Self, BoardError> {
+        let text = read_text(path, BYTES_MAX).map_err(|error| BoardError::Unreadable {
+            path: path.to_owned(),
+            error,
+        })?;
+        Self::parse(&text, path.parent().unwrap_or(Path::new(""))).map_err(|wrong| {
+            BoardError::Wrong {
+                path: path.to_owned(),
+                line: wrong.line,
+                what: wrong.what,
+            }
+        })
+    }
+
+    fn parse(text: &str, folder: &Path) -> Result<Self, Wrong> {
+        let beside = |named: PathBuf| folder.join(named);
+        let document = Document::parse(text)?;
+        let file = document.keys(&["camera", "can", "monitor", "evidence", "budget"])?;
+        let camera = file.need_table("camera", &["source", "format", "size", "fps"])?;
+        let camera = CameraBoard {
+            source: camera.need("source", source())?,
+            wish: CameraWish {
+                format: camera.get("format", toml_keys::word(&CAMERA_FORMATS))?,
+                size: camera.get("size", size())?,
+                fps: camera.get("fps", rate())?,
+            },
+        };
+        let can = can(&file)?;
+        let monitor = MonitorBoard::of(&file, beside)?;
+        let budget = file.table("budget", &["frame_ms", "memory_mib"])?;
+        let allowed = |key| match &budget {
+            Some(budget) => budget.get(key, amount()),
+            None => Ok(None),
+        };
+        Ok(Self {
+            camera,
+            can,
+            evidence: evidence::read(&file, beside)?,
+            budget: Budget {
+                frame: match allowed("frame_ms")? {
+                    Some(ms) => Duration::from_secs_f64(ms / 1e3),
+                    None => Duration::from_secs_f64(FRAME_SHARE / monitor.rate_hz),
+                },
+                memory_mib: allowed("memory_mib")?.unwrap_or(MEMORY_MIB),
+            },
+            monitor,
+        })
+    }
+}
+
+impl MonitorBoard {
+    /// `[monitor]`; without it, what is left out.
+    fn of(file: &Keys<'_>, beside: impl Fn(PathBuf) -> PathBuf) -> Result<Self, Wrong> {
+        let known = ["reference", "model", "strict", "rate_hz", "idle_rate_hz"];
+        let Some(table) = file.table("monitor", &known)? else {
+            return Ok(Self {
+                reference: None,
+                model: None,
+                strict: false,
+                rate_hz: RATE_HZ,
+                idle_rate_hz: RATE_HZ,
+            });
+        };
+        let rate_hz = table.get("rate_hz", rate())?.unwrap_or(RATE_HZ);
+        let idle_rate_hz = table.get("idle_rate_hz", rate())?.unwrap_or(rate_hz);
+        if idle_rate_hz > rate_hz {
+            return Err(Wrong {
+                line: table.line_of("idle_rate_hz"),
+                what: format!("idle_rate_hz = {idle_rate_hz}; wanted at most rate_hz = {rate_hz}"),
+            });
+        }
+        Ok(Self {
+            reference: table.get("reference", file_name())?.map(&beside),
+            model: table.get("model", file_name())?.map(&beside),
+            strict: table.get("strict", toml_keys::truth())?.unwrap_or(false),
+            rate_hz,
+            idle_rate_hz,
+        })
+    }
+}
+
+/// `[can]`.
+fn can(file: &Keys<'_>) -> Result<CanBoard, Wrong> {
+    let known = [
+        "sink",
+        "listen_s",
+        "status",
+        "health",
+        "detail",
+        "clear",
+        "status_period_ms",
+        "health_period_ms",
+        "detail_period_ms",
+        "fd",
+        "speed",
+    ];
+    let can = file.need_table("can", &known)?;
+    let sink = toml_keys::text("log:FILE, log:-, socketcan:IFACE or none")
+        .or_say(|word| Sink::parse(&word).map_err(|error| error.to_string()));
+    let default = CanSettings::default();
+    let ids = |key, default| match can.table(key, &["id", "data_id"])? {
+        None => Ok(default),
+        Some(table) => {
+            let id = table.need("id", can_id())?;
+            let data_id = table.get("data_id", toml_keys::whole(0..=u16::MAX, ""))?;
+            Ok(MessageIds {
+                id,
+                // The identifier, if left out.
+                data_id: data_id.unwrap_or(id),
+            })
+        }
+    };
+    let period = |key, above, default| {
+        let period = can.get(key, milliseconds(above))?;
+        Ok(period.unwrap_or(default))
+    };
+    let speed = speed(&can)?;
+    let settings = CanSettings {
+        status: ids("status", default.status)?,
+        health: ids("health", default.health)?,
+        detail: ids("detail", default.detail)?,
+        clear: ids("clear", default.clear)?,
+        status_period: period(
+            "status_period_ms",
+            default.minimum_gap,
+            default.status_period,
+        )?,
+        health_period: period("health_period_ms", Duration::ZERO, default.health_period)?,
+        detail_period: period("detail_period_ms", Duration::ZERO, default.detail_period)?,
+        fd: can.get("fd", toml_keys::truth())?.unwrap_or(false),
+        speed,
+        ..default
+    };
+    settings.check().map_err(|error| Wrong {
+        line: match error {
+            CanSettingsError::Speed(_) => can.line_of("speed"),
+            _ => can.line(),
+        },
+        what: format!("in [can]: {error}"),
+    })?;
+    Ok(CanBoard {
+        sink: can.need("sink", sink)?,
+        settings,
+        listen: can.get("listen_s", seconds(LISTEN_MAX))?.unwrap_or(LISTEN),
+    })
+}
+
+/// `[can.speed]`.
+fn speed(can: &Keys<'_>) -> Result<Option<SpeedSignal>, Wrong> {
+    let known = [
+        "id",
+        "start_bit",
+        "length",
+        "big_endian",
+        "factor",
+        "offset",
+        "parked_below_kmh",
+        "parked_after_s",
+    ];
+    let Some(speed) = can.table("speed", &known)? else {
+        return Ok(None);
+    };
+    let number = |key, default: f64| {
+        let number = speed.get(key, toml_keys::finite())?;
+        Ok(number.unwrap_or(default))
+    };
+    let after = speed.get("parked_after_s", seconds(SECONDS_MAX))?;
+    Ok(Some(SpeedSignal {
+        id: speed.need("id", can_id())?,
+        start_bit: speed.need("start_bit", toml_keys::whole(0..=63, ""))?,
+        length: speed.need("length", toml_keys::whole(1..=32, " bits"))?,
+        big_endian: speed
+            .get("big_endian", toml_keys::truth())?
+            .unwrap_or(false),
+        factor: speed.need("factor", toml_keys::finite())?,
+        offset: number("offset", 0.0)?,
+        parked_below_kmh: number("parked_below_kmh", PARKED_BELOW_KMH)?,
+        parked_after: after.unwrap_or(PARKED_AFTER),
+    }))
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use std::fs;
+
+    use super::*;
+
+    const LEAST: &str = "[camera]\nsource = \"v4l2:/dev/video0\"\n[can]\nsink = \"none\"\n";
+
+    fn read(text: &str) -> Result<Board, String> {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("car.toml");
+        fs::write(&path, text).unwrap();
+        Board::read(&path).map_err(|error| error.to_string())
+    }
+
+    #[test]
+    fn the_least_board_has_the_defaults_of_the_dbc() {
+        let board = read(LEAST).unwrap();
+        assert_eq!(board.can.settings, CanSettings::default());
+        assert_eq!(board.can.listen, Duration::from_secs(2));
+        assert_eq!(board.camera.wish, CameraWish::default());
+        assert!(!board.monitor.strict && board.monitor.reference.is_none());
+        // Half of the time between two frames at 10 a second.
+        assert_eq!(board.budget.frame, Duration::from_millis(50));
+    }
+
+    #[test]
+    fn words_are_read_and_paths_taken_from_the_folder_of_the_board() {
+        let text = format!(
+            "{LEAST}status = {{ id = 0x123 }}\nclear = {{ id = 0x124, data_id = 7 }}\nlisten_s = 0.5\n\
+             status_period_ms = 50\n[monitor]\nreference = \"town.json\"\nstrict = true\nrate_hz = 5.0\n"
+        )
+        .replace("[can]", "format = \"NV12\"\nsize = \"1280x720\"\nfps = 30.0\n[can]");
+        let board = read(&text).unwrap();
+        let ids = |id, data_id| MessageIds { id, data_id };
+        assert_eq!(board.can.settings.status, ids(0x123, 0x123));
+        assert_eq!(board.can.settings.clear, ids(0x124, 7));
+        assert_eq!(board.can.settings.status_period, Duration::from_millis(50));
+        assert_eq!(board.camera.wish.size, Some((1280, 720)));
+        assert!(board.monitor.reference.unwrap().ends_with("town.json"));
+        assert!(board.monitor.strict);
+    }
+
+    #[test]
+    fn a_speed_is_read_with_what_a_dbc_file_says_of_it() {
+        let speed = "[can.speed]\nid = 0x1A0\nstart_bit = 23\nlength = 16\nfactor = 0.01\nbig_endian = true\n";
+        let board = read(&format!("{LEAST}{speed}")).unwrap();
+        let speed = board.can.settings.speed.unwrap();
+        assert_eq!((speed.id, speed.start_bit, speed.length), (0x1A0, 23, 16));
+        assert!(speed.big_endian && (speed.parked_below_kmh - 1.0).abs() < 1e-9);
+        assert!(read(LEAST).unwrap().can.settings.speed.is_none());
+    }
+
+    #[test]
+    fn evidence_is_kept_only_where_the_board_says_so_and_not_for_ever() {
+        assert!(read(LEAST).unwrap().evidence.is_none());
+        let board = read(&format!(
+            "{LEAST}[evidence]\nfolder = \"seen\"\nevents = 5\n"
+        ))
+        .unwrap();
+        let EvidenceBoard { folder, quota } = board.evidence.unwrap();
+        assert!(folder.ends_with("seen") && folder != Path::new("seen"));
+        assert_eq!((quota.events, quota.bytes), (5, 256_000_000));
+        assert_eq!(quota.keep, Some(Duration::from_secs(30 * 86_400)));
+        for (line, said) in [
+            ("events = 0", "1 to 100000"),
+            ("days = -1", "1 to 3650"),
+            ("mb = 3", "megabytes"),
+        ] {
+            let error =
+                read(&format!("{LEAST}[evidence]\nfolder = \"seen\"\n{line}\n")).unwrap_err();
+            assert!(
+                error.contains("car.toml:7:") && error.contains(said),
+                "{error}"
+            );
+        }
+    }
+
+    #[test]
+    fn what_is_not_understood_is_refused_with_its_line_and_what_would_do() {
+        for (line, from, to, said) in [
+            (
+                2,
+                "source",
+                "sources",
+                "unknown key sources in [camera]; wanted source, format, size or fps",
+            ),
+            (4, "\"none\"", "\"can0\"", "written socketcan:can0"),
+            (4, "\"none\"", "3", "sink = 3; wanted log:FILE"),
+            (
+                1,
+                "[camera]",
+                "[camara]",
+                "unknown key camara; wanted camera, can, monitor, evidence or budget",
+            ),
+            (3, "[can]", "size = \"9x9\"\n[can]", "WIDTHxHEIGHT"),
+            (3, "[can]", "format = \"H264\"\n[can]", "YUYV, NV12"),
+            (3, "[can]", "fps = 0.0\n[can]", "0.1 to 240"),
+            (
+                6,
+                "\"none\"\n",
+                "\"none\"\n[monitor]\nidle_rate_hz = 12.0\n",
+                "at most rate_hz = 10",
+            ),
+            (4, "sink", "status = { id = 0x800 }\nsink", "0x7FF"),
+            (4, "sink", "listen_s = -1.0\nsink", "from 0 to 30 seconds"),
+            (4, "sink", "listen_s = 31.0\nsink", "from 0 to 30 seconds"),
+            (
+                2,
+                "[camera]",
+                "[budget]\nframe_ms = 0\n[camera]",
+                "1 to 100000",
+            ),
+            (3, "sink", "status = { id = 0x5D1 }\nsink", "two messages"),
+            (
+                4,
+                "sink",
+                "status_period_ms = 0\nsink",
+                "from 21 to 65535 milliseconds",
+            ),
+            (
+                4,
+                "sink",
+                "speed = { id = 0x1A0, start_bit = 60, length = 8, factor = 1.0 }\nsink",
+                "8 bits from bit 60",
+            ),
+            (
+                3,
+                "sink",
+                "speed = { id = 0x5D0, start_bit = 0, length = 8, factor = 1.0 }\nsink",
+                "two messages",
+            ),
+        ] {
+            let error = read(&LEAST.replacen(from, to, 1)).unwrap_err();
+            assert!(error.contains(&format!("car.toml:{line}:")), "{error}");
+            assert!(error.contains(said), "{error}");
+            assert!(!error.contains('\n'), "{error}");
+        }
+        assert!(read("").unwrap_err().contains("camera"));
+    }
+
+    #[test]
+    fn every_key_answers_other_kinds_and_ranges_in_plain_words() {
+        let id = "wanted an identifier of 11 bits, 0 to 0x7FF";
+        let speed = "id = 1, start_bit = 0, length = 8, factor = 1.0";
+        let in_speed = |rest: &str| format!("speed = {{ {speed}, {rest} }}");
+        let monitor = "[monitor]\n";
+        let evidence = "[evidence]\nfolder = \"seen\"\n";
+        for (lines, said) in [
+            (
+                "status = 3".to_owned(),
+                "status = 3; wanted a table [can.status] with id or data_id",
+            ),
+            ("clear = { id = \"a\" }".to_owned(), id),
+            ("health = { id = -1 }".to_owned(), id),
+            ("detail = {}".to_owned(), "no id in [can.detail]"),
+            (
+                "status = { id = 1, data_id = 70000 }".to_owned(),
+                "from 0 to 65535",
+            ),
+            (
+                "status = { id = 1, of = 1 }".to_owned(),
+                "unknown key of in [can.status]",
+            ),
+            (
+                "status_period_ms = 20".to_owned(),
+                "from 21 to 65535 milliseconds",
+            ),
+            (
+                "health_period_ms = 0".to_owned(),
+                "from 1 to 65535 milliseconds",
+            ),
+            (
+                "detail_period_ms = 0.5".to_owned(),
+                "detail_period_ms = 0.5; wanted a whole number",
+            ),
+            (
+                "listen_s = \"2\"".to_owned(),
+                "listen_s = \"2\"; wanted a number from 0 to 30 seconds",
+            ),
+            (
+                "fd = \"yes\"".to_owned(),
+                "fd = \"yes\"; wanted true or false",
+            ),
+            (
+                "speed = 3".to_owned(),
+                "speed = 3; wanted a table [can.speed] with id, start_bit",
+            ),
+            (
+                "speed = { id = 1 }".to_owned(),
+                "no start_bit in [can.speed]",
+            ),
+            (
+                in_speed("big_endian = 1"),
+                "big_endian = 1; wanted true or false",
+            ),
+            (
+                in_speed("offset = nan"),
+                "offset = nan; wanted a finite number",
+            ),
+            (
+                in_speed("parked_below_kmh = \"a\""),
+                "wanted a finite number",
+            ),
+            (in_speed("parked_below_kmh = 90"), "at most 10"),
+            (in_speed("parked_after_s = 61"), "from 0 to 60 seconds"),
+            (
+                format!("{monitor}reference = 1"),
+                "reference = 1; wanted the name of a file",
+            ),
+            (
+                format!("{monitor}model = \"\""),
+                "model = \"\"; wanted the name of a file",
+            ),
+            (
+                format!("{monitor}strict = 1"),
+                "strict = 1; wanted true or false",
+            ),
+            (
+                format!("{monitor}rate_hz = \"5\""),
+                "from 0.1 to 240 a second",
+            ),
+            (
+                format!("{monitor}idle_rate_hz = 0"),
+                "from 0.1 to 240 a second",
+            ),
+            (
+                format!("{evidence}events = 1.5"),
+                "events = 1.5; wanted a whole number",
+            ),
+            (
+                format!("{evidence}megabytes = true"),
+                "megabytes = true; wanted a whole number",
+            ),
+            (format!("{evidence}days = 9999"), "from 1 to 3650"),
+            (
+                "[evidence]\nfolder = [\"a\"]".to_owned(),
+                "wanted the name of a folder",
+            ),
+            ("[evidence]\ndays = 3".to_owned(), "no folder in [evidence]"),
+            (
+                "[budget]\nframe_ms = []".to_owned(),
+                "frame_ms = []; wanted a number",
+            ),
+            (
+                "[budget]\nmemory_mib = 1e9".to_owned(),
+                "memory_mib = 1e9; wanted a number",
+            ),
+        ] {
+            let error = read(&format!("{LEAST}{lines}\n")).unwrap_err();
+            let table = error.contains("no folder")
+                || error.contains("no id")
+                || error.contains("no start_bit");
+            let line = 4 + lines.lines().count() - usize::from(table && lines.contains('\n'));
+            assert!(
+                error.contains(&format!("car.toml:{line}: ")),
+                "{line}: {error}"
+            );
+            assert!(error.contains(said), "{said}: {error}");
+        }
+        for (camera, said) in [
+            ("source = \"\"", "wanted v4l2:/dev/videoN"),
+            ("source = 3", "source = 3; wanted v4l2:/dev/videoN"),
+            (
+                "source = \"/dev/video0\"",
+                "a camera is written \"v4l2:/dev/video0\"",
+            ),
+            ("source = \"v4l2:\"", "names no device"),
+            ("source = \"random:\"\nformat = 3", "wanted one of YUYV"),
+            (
+                "source = \"random:\"\nsize = [1, 2]",
+                "wanted \"WIDTHxHEIGHT\"",
+            ),
+            (
+                "source = \"random:\"\nfps = \"a\"",
+                "from 0.1 to 240 a second",
+            ),
+        ] {
+            let error = read(&format!("[camera]\n{camera}\n[can]\nsink = \"none\"\n")).unwrap_err();
+            let line = 1 + camera.lines().count();
+            assert!(
+                error.contains(&format!("car.toml:{line}: ")),
+                "{line}: {error}"
+            );
+            assert!(error.contains(said), "{said}: {error}");
+        }
+    }
+}

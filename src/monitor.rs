@@ -1,0 +1,17 @@
+//! The chain: a frame becomes a verdict, with the time as an argument.
+
+pub mod camera_health;
+
+pub mod intake;
+pub mod profile;
+
+pub mod continuity;
+pub mod detector;
+
+pub mod alarm;
+pub mod health;
+pub mod rate;
+
+pub mod judge;
+
+pub mod pipeline;

@@ -1,0 +1,821 @@
+//! Evidence over time → what the car is told.
+//!
+//! ```text
+//!            verdict for one window                     score >= 1
+//!   Init ------------------------------> Ok <--------------------------> Suspect
+//!                                        ^       counter back at 0          |
+//!                                        |                                  | counter reaches 127
+//!                                        +-------------- Gap <--------------+
+//!                                        counter back at 0
+//!
+//!   any --- no verdict for 500 ms ---> Unavailable, or SensorFault when the picture itself is at fault
+//!   Unavailable, SensorFault --- a verdict ---> where the counter says: Gap, Suspect or Ok
+//! ```
+//!
+//! The fault detection counter follows AUTOSAR's diagnostic event manager (Dem, counter-based debouncing with jump-up),
+//! but moves with elapsed time, so that the reaction does not depend on the frame rate. "Cannot judge" never reads as
+//! "no gap": while nothing can be judged the counter stands still, and after 500 ms the state says so. Suspicion from before
+//! a hole in time (`continuity`) counts for nothing behind it; a gap does until the road is seen to be nominal again.
+
+use std::time::Duration;
+
+use crate::capture::undefined::Undefined;
+use crate::monitor::continuity::Continuity;
+
+/// Seconds of continuous evidence from 0 to the counter's upper end: a gap.
+const UP_S: f64 = 1.0;
+/// Seconds without evidence from the upper end back to 0, and again from 0 to the lower end.
+const DOWN_S: f64 = 2.0;
+/// Longest time that one frame moves the counter: one frame is no gap.
+const STEP_MAX: Duration = Duration::from_millis(500);
+
+const COUNTER_MAX: f64 = 127.0;
+const COUNTER_MIN: f64 = -128.0;
+
+/// What the car is told.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum AlarmState {
+    /// Too little seen yet.
+    Init,
+    /// The road looks like the domain the model knows.
+    Ok,
+    /// It may have left the domain; being debounced.
+    Suspect,
+    /// It has left the domain.
+    Gap,
+    /// The camera shows nothing that a scene could make.
+    SensorFault,
+    /// There is no verdict, for another reason than the camera.
+    Unavailable,
+}
+
+impl AlarmState {
+    /// The name used everywhere.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Init => "Init",
+            Self::Ok => "Ok",
+            Self::Suspect => "Suspect",
+            Self::Gap => "Gap",
+            Self::SensorFault => "SensorFault",
+            Self::Unavailable => "Unavailable",
+        }
+    }
+}
+
+/// Why the state is what it is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Reason {
+    /// Nothing to explain.
+    None,
+    /// The first window is not full.
+    Starting,
+    /// The short window is beyond its threshold.
+    Abrupt,
+    /// The window is below its threshold, but has been near it for too long.
+    Drift,
+    /// The picture is black.
+    Black,
+    /// The picture has one colour.
+    Uniform,
+    /// The picture is too small to judge.
+    TooSmall,
+    /// The picture cannot be read, or frames do not come in order.
+    Corrupt,
+    /// No frame came for too long.
+    Stale,
+    /// The frame has no gap: undefined activations or histograms.
+    Undefined,
+    /// The picture has not changed by a single bit for too long.
+    Frozen,
+    /// Most of the lens is covered.
+    Covered,
+    /// The computer does not keep up: verdicts come too late.
+    Lagging,
+    /// The car is parked, so nobody looks.
+    Parked,
+    /// The monitor ends.
+    Stopped,
+}
+
+impl Reason {
+    /// The name used in journals and messages.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::None => "none",
+            Self::Starting => "starting",
+            Self::Abrupt => "abrupt",
+            Self::Drift => "drift",
+            Self::Black => "black",
+            Self::Uniform => "uniform",
+            Self::TooSmall => "too-small",
+            Self::Corrupt => "corrupt",
+            Self::Stale => "stale",
+            Self::Undefined => "undefined",
+            Self::Frozen => "frozen",
+            Self::Covered => "covered",
+            Self::Lagging => "lagging",
+            Self::Parked => "parked",
+            Self::Stopped => "stopped",
+        }
+    }
+
+    /// Whether the camera is to blame.
+    fn is_sensor_fault(self) -> bool {
+        matches!(
+            self,
+            Self::Black | Self::Uniform | Self::Corrupt | Self::Frozen | Self::Covered
+        )
+    }
+}
+
+impl From<&Undefined> for Reason {
+    fn from(why: &Undefined) -> Self {
+        match why {
+            Undefined::Black => Self::Black,
+            Undefined::Uniform => Self::Uniform,
+            Undefined::TooSmall { .. } => Self::TooSmall,
+            Undefined::Corrupt(_) | Undefined::OutOfOrder { .. } => Self::Corrupt,
+            Undefined::Frozen(_) => Self::Frozen,
+            Undefined::Covered { .. } => Self::Covered,
+            Undefined::Late(_) => Self::Lagging,
+            _ => Self::Undefined,
+        }
+    }
+}
+
+/// What a frame contributes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Judgement {
+    /// A score: at least 1 is evidence of a gap.
+    Score {
+        /// 0 nominal, 1 alarm threshold.
+        score: f64,
+        /// The detector has looked for at least one window's length.
+        settled: bool,
+    },
+    /// No window is beyond its threshold, but their sum over time is: evidence of a gap.
+    Drift {
+        /// As of a score.
+        settled: bool,
+    },
+    /// No verdict.
+    Cannot(Reason),
+}
+
+/// Debounces scores into a state. Time comes from the caller.
+#[derive(Clone, Debug)]
+pub struct Alarm {
+    state: AlarmState,
+    reason: Reason,
+    counter: f64,
+    in_gap: bool,
+    gap_stored: bool,
+    settled: bool,
+    /// When the last frame came, judged or not.
+    last_frame: Option<Duration>,
+    /// When the last frame was judged, or the first one that was not.
+    last_judged: Option<Duration>,
+    /// How frames that are judged follow each other.
+    judged: Continuity,
+    /// What the last evidence was.
+    evidence: Reason,
+}
+
+impl Default for Alarm {
+    fn default() -> Self {
+        Self {
+            state: AlarmState::Init,
+            reason: Reason::Starting,
+            counter: 0.0,
+            in_gap: false,
+            gap_stored: false,
+            settled: false,
+            last_frame: None,
+            last_judged: None,
+            judged: Continuity::default(),
+            evidence: Reason::Abrupt,
+        }
+    }
+}
+
+impl Alarm {
+    /// An alarm whose frames may come as slowly as one every `period`: silence is told after half as long again, and after
+    /// 500 ms at the earliest.
+    pub fn with_frames_every(period: Duration) -> Self {
+        Self {
+            judged: Continuity::with_frames_every(period),
+            ..Self::default()
+        }
+    }
+
+    /// How long there may be no verdict before the state says so.
+    pub fn patience(&self) -> Duration {
+        self.judged.patience()
+    }
+
+    /// The state now.
+    pub fn state(&self) -> AlarmState {
+        self.state
+    }
+
+    /// Why.
+    pub fn reason(&self) -> Reason {
+        self.reason
+    }
+
+    /// Fault detection counter, -128 (long without evidence) to 127 (gap).
+    #[allow(clippy::cast_possible_truncation)]
+    pub fn fault_detection_counter(&self) -> i8 {
+        self.counter.clamp(COUNTER_MIN, COUNTER_MAX) as i8
+    }
+
+    /// A gap was reported since the start, or since it was last cleared.
+    pub fn gap_stored(&self) -> bool {
+        self.gap_stored
+    }
+
+    /// Clears the stored bit, and says whether it did: refused while the state is `Gap`, or would be if the road could be
+    /// seen.
+    pub fn clear_stored(&mut self) -> bool {
+        self.gap_stored &= self.in_gap;
+        !self.gap_stored
+    }
+
+    /// Takes a frame's judgement at time `now`, which never goes back, or that there was no frame (`Stale`).
+    pub fn step(&mut self, now: Duration, judgement: Judgement) {
+        if judgement != Judgement::Cannot(Reason::Stale) {
+            self.last_frame = Some(now);
+        }
+        match judgement {
+            Judgement::Score { score, settled } => {
+                self.judged(now, (score >= 1.0).then_some(Reason::Abrupt), settled);
+            }
+            Judgement::Drift { settled } => self.judged(now, Some(Reason::Drift), settled),
+            Judgement::Cannot(reason) => self.not_judged(now, reason),
+        }
+    }
+
+    /// Nobody has looked until `now`, since the car is parked: silence counts from then on, and suspicion begins anew.
+    pub fn rest(&mut self, now: Duration) {
+        self.judged.interrupt();
+        (self.state, self.reason) = (AlarmState::Unavailable, Reason::Parked);
+        self.last_frame = Some(now);
+        self.last_judged = Some(now);
+    }
+
+    fn judged(&mut self, now: Duration, found: Option<Reason>, settled: bool) {
+        let evidence = found.is_some();
+        self.evidence = found.unwrap_or(self.evidence);
+        let since = self.judged.step(now);
+        if since.is_none() && !self.in_gap {
+            self.counter = self.counter.min(0.0);
+        }
+        let since_s = since.unwrap_or_default().min(STEP_MAX).as_secs_f64();
+        self.last_judged = Some(now);
+        self.settled |= settled;
+        if !self.settled {
+            (self.state, self.reason) = (AlarmState::Init, Reason::Starting);
+            return;
+        }
+        self.counter = if evidence {
+            (self.counter.max(0.0) + COUNTER_MAX * since_s / UP_S).min(COUNTER_MAX)
+        } else {
+            (self.counter - COUNTER_MAX * since_s / DOWN_S).max(COUNTER_MIN)
+        };
+        if self.counter >= COUNTER_MAX {
+            (self.in_gap, self.gap_stored) = (true, true);
+        } else if self.counter <= 0.0 {
+            self.in_gap = false;
+        }
+        (self.state, self.reason) = if self.in_gap {
+            (AlarmState::Gap, self.evidence)
+        } else if evidence || self.counter > 0.0 {
+            (AlarmState::Suspect, self.evidence)
+        } else {
+            (AlarmState::Ok, Reason::None)
+        };
+    }
+
+    /// When the silence after the last frame becomes too long; `None` before the first frame.
+    pub fn stale_at(&self) -> Option<Duration> {
+        self.last_frame.map(|last| last + self.patience())
+    }
+
+    fn not_judged(&mut self, now: Duration, reason: Reason) {
+        let since = *self.last_judged.get_or_insert(now);
+        if now.saturating_sub(since) < self.patience() {
+            return;
+        }
+        // Silence between slow frames is no blindness: whether they follow each other shows when the next one comes.
+        if reason != Reason::Stale {
+            self.judged.interrupt();
+        }
+        self.state = if reason.is_sensor_fault() {
+            AlarmState::SensorFault
+        } else {
+            AlarmState::Unavailable
+        };
+        self.reason = reason;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Runs scores at a frame rate; `None` = cannot judge. Returns the changes of state with their times in ms.
+    fn changes(fps: u32, days: &[(f64, Option<f64>)]) -> Vec<(u128, AlarmState)> {
+        let mut alarm = Alarm::default();
+        let mut seen = vec![];
+        let mut frame = 0_u32;
+        let mut until = 0.0;
+        for &(seconds, score) in days {
+            until += seconds;
+            while f64::from(frame) / f64::from(fps) < until - 1e-9 {
+                let now = Duration::from_secs(frame.into()) / fps;
+                let judgement = match score {
+                    Some(score) => Judgement::Score {
+                        score,
+                        settled: now >= Duration::from_secs(1),
+                    },
+                    None => Judgement::Cannot(Reason::Black),
+                };
+                alarm.step(now, judgement);
+                if seen.last().is_none_or(|&(_, state)| state != alarm.state()) {
+                    seen.push((now.as_millis(), alarm.state()));
+                }
+                frame += 1;
+            }
+        }
+        seen
+    }
+
+    #[test]
+    fn a_clear_road_is_ok_and_stays_so() {
+        assert_eq!(
+            changes(10, &[(60.0, Some(0.4))]),
+            [(0, AlarmState::Init), (1_000, AlarmState::Ok)]
+        );
+    }
+
+    #[test]
+    fn a_gap_is_reported_after_a_second_and_ends_two_seconds_after_the_evidence_at_any_frame_rate()
+    {
+        for fps in [5, 10, 30, 50] {
+            let seen = changes(
+                fps,
+                &[(5.0, Some(0.1)), (5.0, Some(2.0)), (10.0, Some(0.1))],
+            );
+            let states: Vec<AlarmState> = seen.iter().map(|&(_, state)| state).collect();
+            assert_eq!(
+                states,
+                [
+                    AlarmState::Init,
+                    AlarmState::Ok,
+                    AlarmState::Suspect,
+                    AlarmState::Gap,
+                    AlarmState::Ok
+                ],
+                "{fps} frames/s"
+            );
+            let (gap, ok) = (seen[3].0, seen[4].0);
+            assert!(
+                (5_700..=6_000).contains(&gap),
+                "{fps} frames/s: Gap at {gap} ms"
+            );
+            assert!(
+                (11_700..=12_050).contains(&ok),
+                "{fps} frames/s: Ok at {ok} ms"
+            );
+        }
+    }
+
+    #[test]
+    fn a_drift_leads_to_a_gap_of_that_reason() {
+        let mut alarm = Alarm::default();
+        for tenth in 0..30 {
+            let judgement = if tenth < 15 {
+                Judgement::Score {
+                    score: 0.9,
+                    settled: tenth >= 10,
+                }
+            } else {
+                Judgement::Drift { settled: true }
+            };
+            alarm.step(Duration::from_millis(100) * tenth, judgement);
+        }
+        assert_eq!(
+            (alarm.state(), alarm.reason()),
+            (AlarmState::Gap, Reason::Drift)
+        );
+    }
+
+    #[test]
+    fn the_stored_bit_is_cleared_only_after_the_gap() {
+        let mut alarm = Alarm::default();
+        for tenth in 0..100 {
+            alarm.step(
+                Duration::from_millis(100) * tenth,
+                Judgement::Score {
+                    score: if tenth < 40 { 5.0 } else { 0.0 },
+                    settled: true,
+                },
+            );
+            match (tenth, alarm.state()) {
+                (30, state) => {
+                    assert_eq!(state, AlarmState::Gap);
+                    assert!(!alarm.clear_stored() && alarm.gap_stored());
+                }
+                (99, state) => {
+                    assert_eq!(state, AlarmState::Ok);
+                    assert!(alarm.gap_stored() && alarm.clear_stored());
+                    assert!(!alarm.gap_stored());
+                }
+                _ => {}
+            }
+        }
+    }
+
+    #[test]
+    fn a_short_flicker_is_suspect_but_no_gap() {
+        let seen = changes(10, &[(5.0, Some(0.1)), (0.4, Some(3.0)), (10.0, Some(0.1))]);
+        assert!(
+            seen.iter().all(|&(_, state)| state != AlarmState::Gap),
+            "{seen:?}"
+        );
+        assert!(seen.iter().any(|&(_, state)| state == AlarmState::Suspect));
+    }
+
+    #[test]
+    fn suspicion_lasts_as_long_as_evidence_comes_and_the_counter_is_above_0() {
+        // Evidence in every other frame: the counter climbs by 12.7 and falls by 6.35.
+        let mut alarm = Alarm::default();
+        for tenth in 0..100_u32 {
+            let evident = (20..60).contains(&tenth) && tenth % 2 == 0;
+            let judgement = Judgement::Score {
+                score: if evident { 2.0 } else { 0.0 },
+                settled: tenth >= 10,
+            };
+            alarm.step(Duration::from_millis(100) * tenth, judgement);
+            let wanted = match tenth {
+                0..10 => AlarmState::Init,
+                20..56 => AlarmState::Suspect,
+                56..78 => AlarmState::Gap,
+                // 2 s after the last evidence, or a frame later.
+                78 => continue,
+                _ => AlarmState::Ok,
+            };
+            assert_eq!(alarm.state(), wanted, "frame {tenth}");
+        }
+    }
+
+    #[test]
+    fn evidence_that_hovers_stays_suspect_and_is_no_gap() {
+        // Evidence in every third frame: the counter comes back to 0 each time.
+        let mut alarm = Alarm::default();
+        for tenth in 0..600_u32 {
+            let evident = tenth > 20 && tenth % 3 == 0;
+            let judgement = Judgement::Score {
+                score: if evident { 2.0 } else { 0.0 },
+                settled: tenth > 10,
+            };
+            alarm.step(Duration::from_millis(100) * tenth, judgement);
+            assert_ne!(alarm.state(), AlarmState::Gap, "frame {tenth}");
+            if evident {
+                assert_eq!(alarm.state(), AlarmState::Suspect, "frame {tenth}");
+            }
+        }
+    }
+
+    #[test]
+    fn evidence_from_before_a_hole_counts_for_nothing_behind_it() {
+        let ms = Duration::from_millis;
+        let judged = |score| Judgement::Score {
+            score,
+            settled: true,
+        };
+        for (hole_ms, rests) in [(501, false), (600_000, false), (600_000, true)] {
+            let mut alarm = Alarm::default();
+            (0..14).for_each(|tenth| alarm.step(ms(100 * tenth), judged(0.0)));
+            (14..20).for_each(|tenth| alarm.step(ms(100 * tenth), judged(9.0)));
+            assert_eq!(alarm.fault_detection_counter(), 76);
+            let behind = 1_900 + hole_ms;
+            if rests {
+                alarm.rest(ms(behind));
+                assert_eq!(alarm.stale_at(), Some(ms(behind + 500)));
+                // What cannot be judged then is not what was judged before.
+                alarm.step(ms(behind), Judgement::Cannot(Reason::Black));
+                let parked = (AlarmState::Unavailable, Reason::Parked);
+                assert_eq!((alarm.state(), alarm.reason()), parked);
+            }
+            let mut gap_after = None;
+            for tenth in 0..20 {
+                alarm.step(ms(behind + 100 * tenth), judged(9.0));
+                if alarm.state() == AlarmState::Gap {
+                    gap_after.get_or_insert(tenth);
+                } else {
+                    assert_eq!(alarm.state(), AlarmState::Suspect);
+                    assert!(!alarm.gap_stored());
+                }
+            }
+            assert_eq!(gap_after, Some(10), "hole of {hole_ms} ms");
+        }
+    }
+
+    #[test]
+    fn slow_frames_add_up_and_a_gap_lasts_through_a_hole() {
+        let s = Duration::from_secs;
+        let judged = |score| Judgement::Score {
+            score,
+            settled: true,
+        };
+        let mut alarm = Alarm::default();
+        let mut states = vec![];
+        for second in 0..6 {
+            alarm.step(s(second), judged(9.0));
+            states.push(alarm.state());
+        }
+        // The first pause may be a hole; each of the others moves the counter by half a second.
+        use AlarmState::{Gap, Suspect};
+        assert_eq!(states, [Suspect, Suspect, Suspect, Gap, Gap, Gap]);
+        alarm.step(s(900), judged(0.0));
+        assert_eq!(alarm.state(), Gap);
+    }
+
+    #[test]
+    fn what_cannot_be_judged_is_never_ok() {
+        let seen = changes(10, &[(5.0, Some(0.1)), (5.0, None), (5.0, Some(0.1))]);
+        assert_eq!(
+            seen,
+            [
+                (0, AlarmState::Init),
+                (1_000, AlarmState::Ok),
+                (5_400, AlarmState::SensorFault),
+                (10_000, AlarmState::Ok)
+            ]
+        );
+    }
+
+    #[test]
+    fn a_gap_is_remembered_through_a_blind_moment_and_stored_after_it() {
+        let mut alarm = Alarm::default();
+        let mut step = |tenth: u32, judgement| {
+            alarm.step(Duration::from_millis(100) * tenth, judgement);
+            (alarm.state(), alarm.gap_stored())
+        };
+        for tenth in 0..40 {
+            step(
+                tenth,
+                Judgement::Score {
+                    score: 5.0,
+                    settled: true,
+                },
+            );
+        }
+        for tenth in 40..60 {
+            step(tenth, Judgement::Cannot(Reason::Undefined));
+        }
+        assert_eq!(
+            step(60, Judgement::Cannot(Reason::Undefined)),
+            (AlarmState::Unavailable, true)
+        );
+        assert_eq!(
+            step(
+                61,
+                Judgement::Score {
+                    score: 5.0,
+                    settled: true
+                }
+            ),
+            (AlarmState::Gap, true)
+        );
+        for tenth in 62..120 {
+            step(
+                tenth,
+                Judgement::Score {
+                    score: 0.0,
+                    settled: true,
+                },
+            );
+        }
+        assert_eq!(
+            step(
+                120,
+                Judgement::Score {
+                    score: 0.0,
+                    settled: true
+                }
+            ),
+            (AlarmState::Ok, true)
+        );
+    }
+
+    #[test]
+    fn one_frame_of_evidence_is_no_gap_after_a_blind_moment_or_at_a_slow_rate() {
+        let judged = |score| Judgement::Score {
+            score,
+            settled: true,
+        };
+        for (step_ms, blind) in [(100, true), (1_000, false), (2_000, false)] {
+            let mut alarm = Alarm::default();
+            let mut now = Duration::ZERO;
+            let mut step = |judgement| {
+                alarm.step(now, judgement);
+                now += Duration::from_millis(step_ms);
+                alarm.state()
+            };
+            for _ in 0..20 {
+                step(judged(0.0));
+            }
+            if blind {
+                for _ in 0..30 {
+                    step(Judgement::Cannot(Reason::Black));
+                }
+            }
+            assert_eq!(
+                step(judged(9.0)),
+                AlarmState::Suspect,
+                "every {step_ms} ms, blind before: {blind}"
+            );
+            assert_eq!(
+                step(judged(0.0)),
+                if blind {
+                    AlarmState::Ok
+                } else {
+                    AlarmState::Suspect
+                }
+            );
+        }
+    }
+
+    #[test]
+    fn names_are_as_documented_and_no_two_are_the_same() {
+        let states = [
+            (AlarmState::Init, "Init"),
+            (AlarmState::Ok, "Ok"),
+            (AlarmState::Suspect, "Suspect"),
+            (AlarmState::Gap, "Gap"),
+            (AlarmState::SensorFault, "SensorFault"),
+            (AlarmState::Unavailable, "Unavailable"),
+        ];
+        for (state, name) in states {
+            assert_eq!(state.name(), name);
+        }
+        let reasons = [
+            (Reason::None, "none", false),
+            (Reason::Starting, "starting", false),
+            (Reason::Abrupt, "abrupt", false),
+            (Reason::Drift, "drift", false),
+            (Reason::Black, "black", true),
+            (Reason::Uniform, "uniform", true),
+            (Reason::TooSmall, "too-small", false),
+            (Reason::Corrupt, "corrupt", true),
+            (Reason::Stale, "stale", false),
+            (Reason::Undefined, "undefined", false),
+            (Reason::Frozen, "frozen", true),
+            (Reason::Covered, "covered", true),
+            (Reason::Lagging, "lagging", false),
+            (Reason::Parked, "parked", false),
+            (Reason::Stopped, "stopped", false),
+        ];
+        for (reason, name, sensor_fault) in reasons {
+            assert_eq!(reason.name(), name);
+            assert_eq!(reason.is_sensor_fault(), sensor_fault, "{name}");
+        }
+    }
+
+    #[test]
+    fn what_is_wrong_with_a_frame_has_its_own_reason() {
+        for (why, reason) in [
+            (Undefined::Black, Reason::Black),
+            (Undefined::Uniform, Reason::Uniform),
+            (
+                Undefined::TooSmall {
+                    width: 10,
+                    height: 20,
+                },
+                Reason::TooSmall,
+            ),
+            (Undefined::Corrupt(String::new()), Reason::Corrupt),
+            (
+                Undefined::OutOfOrder {
+                    number: 1,
+                    before: 2,
+                },
+                Reason::Corrupt,
+            ),
+            (Undefined::Frozen(STEP_MAX), Reason::Frozen),
+            (Undefined::Covered { percent: 70 }, Reason::Covered),
+            (Undefined::Late(STEP_MAX), Reason::Lagging),
+            (Undefined::ConstantMap, Reason::Undefined),
+        ] {
+            assert_eq!(Reason::from(&why), reason, "{why}");
+        }
+    }
+
+    #[test]
+    fn silence_is_told_after_half_a_second_or_one_and_a_half_frames() {
+        let score = Judgement::Score {
+            score: 0.0,
+            settled: true,
+        };
+        let ms = Duration::from_millis;
+        for (every, patience) in [(100, 500), (333, 500), (1_000, 1_500), (2_000, 3_000)] {
+            let mut alarm = Alarm::with_frames_every(ms(every));
+            assert_eq!(alarm.patience(), ms(patience));
+            assert_eq!(alarm.stale_at(), None);
+            alarm.step(ms(100), score);
+            assert_eq!(alarm.stale_at(), Some(ms(100 + patience)));
+            // Silence and blindness count from the last frame, not from when they are noticed.
+            alarm.step(ms(99 + patience), Judgement::Cannot(Reason::Stale));
+            assert_eq!(alarm.stale_at(), Some(ms(100 + patience)));
+            assert_eq!(alarm.state(), AlarmState::Ok);
+            alarm.step(ms(100 + patience), Judgement::Cannot(Reason::Stale));
+            assert_eq!(alarm.state(), AlarmState::Unavailable);
+            alarm.step(ms(200 + patience), Judgement::Cannot(Reason::Black));
+            assert_eq!(alarm.stale_at(), Some(ms(200 + 2 * patience)));
+        }
+    }
+
+    #[test]
+    fn the_counter_goes_from_its_lowest_to_its_highest_value() {
+        let mut alarm = Alarm::default();
+        let mut counted = vec![];
+        for tenth in 0..40_u32 {
+            let judgement = Judgement::Score {
+                score: if tenth < 30 { 0.0 } else { 1.0 },
+                settled: true,
+            };
+            alarm.step(Duration::from_millis(100) * tenth, judgement);
+            counted.push(alarm.fault_detection_counter());
+        }
+        // Down by 127 in 2 s, to -128; up by 127 in 1 s, from 0.
+        assert_eq!(counted[0], 0);
+        assert_eq!(counted[10], -63);
+        assert_eq!(counted[29], -128);
+        assert_eq!(counted[30], 12);
+        assert_eq!(counted[34], 63);
+        assert_eq!(counted[39], 127);
+    }
+
+    #[test]
+    fn frames_that_cannot_be_judged_in_between_hold_no_gap_up() {
+        // Two of three frames are lost, as on a bad cable.
+        let mut alarm = Alarm::default();
+        let mut gap_at = None;
+        for tenth in 0..60_u32 {
+            let judgement = match tenth % 3 {
+                0 => Judgement::Score {
+                    score: if tenth < 30 { 0.0 } else { 5.0 },
+                    settled: true,
+                },
+                _ => Judgement::Cannot(Reason::Corrupt),
+            };
+            alarm.step(Duration::from_millis(100) * tenth, judgement);
+            assert_ne!(alarm.state(), AlarmState::SensorFault, "frame {tenth}");
+            if alarm.state() == AlarmState::Gap {
+                gap_at.get_or_insert(tenth);
+            }
+        }
+        // A second of evidence, from the first frame that shows any: 30, and the one before that counts for it is 27.
+        assert_eq!(gap_at, Some(39));
+        assert_eq!(alarm.state(), AlarmState::Gap);
+    }
+
+    #[test]
+    fn evidence_after_a_blind_moment_is_suspect_again_and_never_ok() {
+        let mut alarm = Alarm::default();
+        let mut states = vec![];
+        for tenth in 0..80_u32 {
+            let judgement = match tenth {
+                15..60 => Judgement::Cannot(Reason::Black),
+                _ => Judgement::Score {
+                    score: if tenth < 10 { 0.0 } else { 5.0 },
+                    settled: true,
+                },
+            };
+            alarm.step(Duration::from_millis(100) * tenth, judgement);
+            if tenth >= 10 && states.last() != Some(&alarm.state()) {
+                states.push(alarm.state());
+            }
+        }
+        assert_eq!(
+            states,
+            [
+                AlarmState::Suspect,
+                AlarmState::SensorFault,
+                AlarmState::Suspect,
+                AlarmState::Gap
+            ]
+        );
+    }
+
+    #[test]
+    fn blind_from_the_start_is_not_init_for_ever() {
+        assert_eq!(
+            changes(10, &[(5.0, None)]),
+            [(0, AlarmState::Init), (500, AlarmState::SensorFault)]
+        );
+    }
+}

@@ -1,0 +1,531 @@
+//! Frames over time → evidence: the gap of a short window, scaled by what is nominal for its number of frames, for abrupt
+//! change; and a cumulative sum of scores (CUSUM, Page 1954) for slow drift.
+
+use std::time::Duration;
+
+use heapless::Deque;
+
+use crate::capture::undefined::Undefined;
+use crate::model::TAPS_MAX;
+use crate::monitor::alarm::Judgement;
+use crate::monitor::continuity::{Continuity, SLOWEST};
+use crate::monitor::profile::{TapProfile, spreads_of};
+use crate::reference::gap::Metric;
+use crate::reference::{Component, Reference};
+
+/// Most frames a window holds; at higher frame rates it spans less time than asked for.
+pub const WINDOW_FRAMES_MAX: usize = 32;
+/// A pause longer than this many windows is a hole in time: what was seen before it says nothing about now.
+const HOLE_WINDOWS: u32 = 2;
+/// Score that the cumulative sum leaves out: drift is what stays above it. Three quarters of the way from the nominal median
+/// to the threshold, so that only what is nearly an alarm adds up.
+const DRIFT_SLACK: f64 = 0.75;
+/// One window adds as if its score were this at most: a short burst is the window's business.
+const DRIFT_SCORE_MAX: f64 = 2.0;
+/// Score seconds above the slack that are a drift: 20 s at the threshold itself.
+const DRIFT_LIMIT_S: f64 = 5.0;
+
+/// What one block says of the window.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct BlockScore {
+    /// Gap in the metric's own units.
+    pub gap: f64,
+    /// Similarity, 1 for equal histograms.
+    pub similarity: f64,
+    /// `(gap - median) / (threshold - median)`: 0 nominal, 1 alarm threshold.
+    pub score: f64,
+}
+
+/// What the window says.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Evidence {
+    /// The largest score of the blocks that decide.
+    pub score: f64,
+    /// One entry a tap, against the nearest nominal domain.
+    pub blocks: heapless::Vec<BlockScore, TAPS_MAX>,
+    /// The nearest nominal domain, by its place in the reference.
+    pub component: usize,
+    /// How far the scores have added up: 1 is a drift.
+    pub drift: f64,
+    /// Frames in the window.
+    pub frames: usize,
+    /// Share of the window's length looked at without a hole, 0..1.
+    pub fill: f64,
+}
+
+impl Evidence {
+    /// What the evidence contributes to the alarm.
+    pub fn judgement(&self) -> Judgement {
+        judgement(self.score, self.drift, self.fill >= 1.0)
+    }
+}
+
+/// What a score and a drift contribute to the alarm.
+pub fn judgement(score: f64, drift: f64, settled: bool) -> Judgement {
+    if score < 1.0 && drift >= 1.0 {
+        Judgement::Drift { settled }
+    } else {
+        Judgement::Score { score, settled }
+    }
+}
+
+/// Adds scores up over time. A hole adds nothing, and one of more than two seconds begins anew.
+#[derive(Clone, Debug, Default)]
+pub struct Cusum {
+    sum_s: f64,
+    seen: Continuity,
+    last: Option<Duration>,
+}
+
+impl Cusum {
+    /// Of frames that may come as slowly as one every `period`.
+    pub fn with_frames_every(period: Duration) -> Self {
+        Self {
+            seen: Continuity::with_frames_every(period),
+            ..Self::default()
+        }
+    }
+
+    /// Adds the score of a window that was seen at `now`; what the sum is then, 1 at its limit.
+    pub fn add(&mut self, now: Duration, score: f64) -> f64 {
+        let long = SLOWEST.max(self.seen.patience());
+        if (self.last.replace(now)).is_some_and(|last| now.saturating_sub(last) > long) {
+            self.sum_s = 0.0;
+        }
+        let since_s = self.seen.step(now).unwrap_or_default().as_secs_f64();
+        let above = score.min(DRIFT_SCORE_MAX) - DRIFT_SLACK;
+        // The sum stops at its limit, so that a drift is over as soon as the scores are.
+        self.sum_s = (self.sum_s + above * since_s).clamp(0.0, DRIFT_LIMIT_S);
+        self.sum_s / DRIFT_LIMIT_S
+    }
+}
+
+/// Rolling sums of the last moments against a reference. Allocates nothing after it is made.
+#[derive(Debug)]
+pub struct Detector {
+    metric: Metric,
+    components: Vec<Component>,
+    /// Nominal spreads of energies by component and tap, for profiles.
+    spreads: Vec<Vec<Vec<f64>>>,
+    cusum: Cusum,
+    /// Frames may come as slowly as one in this time.
+    period: Duration,
+    span: Duration,
+    /// When each frame in the window was seen, oldest first.
+    times: Deque<Duration, WINDOW_FRAMES_MAX>,
+    /// What was taken of the frames, a ring of `WINDOW_FRAMES_MAX` slots.
+    ring: Vec<u32>,
+    /// The slot that is written next.
+    next_slot: usize,
+    /// Sums over the window.
+    sums: Vec<u64>,
+    began: Option<Duration>,
+}
+
+impl Detector {
+    /// A detector that has seen nothing.
+    pub fn new(reference: &Reference) -> Self {
+        Self::of(
+            reference.metric,
+            reference.components.clone(),
+            reference.window_s,
+        )
+    }
+
+    /// A detector against some nominal domains.
+    pub fn of(metric: Metric, components: Vec<Component>, window_s: f64) -> Self {
+        let bins = Component::taken_len(&components);
+        Self {
+            metric,
+            spreads: components
+                .iter()
+                .map(|component| component.taps.iter().map(spreads_of).collect())
+                .collect(),
+            components,
+            cusum: Cusum::default(),
+            period: Duration::ZERO,
+            span: Duration::from_secs_f64(window_s),
+            times: Deque::new(),
+            ring: vec![0; bins * WINDOW_FRAMES_MAX],
+            next_slot: 0,
+            sums: vec![0; bins],
+            began: None,
+        }
+    }
+
+    /// Frames may come as slowly as one every `period`.
+    pub fn with_frames_every(self, period: Duration) -> Self {
+        Self {
+            cusum: Cusum::with_frames_every(period),
+            period,
+            ..self
+        }
+    }
+
+    /// Numbers taken of a frame: for each nominal domain, tap after tap.
+    pub fn taken_len(&self) -> usize {
+        self.sums.len()
+    }
+
+    /// Adds what was taken of a frame, `[taken_len]`, and compares the window with the reference.
+    ///
+    /// # Errors
+    /// Why the window has no gap.
+    pub fn observe(&mut self, now: Duration, counts: &[u32]) -> Result<Evidence, Undefined> {
+        if self
+            .times
+            .back()
+            .is_some_and(|&last| now < last || now - last > HOLE_WINDOWS * self.span)
+        {
+            self.restart();
+        }
+        while self
+            .times
+            .front()
+            .is_some_and(|&oldest| now - oldest >= self.span)
+            || self.times.is_full()
+        {
+            self.forget_oldest();
+        }
+        let slot = self.next_slot;
+        self.next_slot = (slot + 1) % WINDOW_FRAMES_MAX;
+        self.ring[slot * counts.len()..][..counts.len()].copy_from_slice(counts);
+        self.sums
+            .iter_mut()
+            .zip(counts)
+            .for_each(|(sum, &count)| *sum += u64::from(count));
+        // There is room: a full window has lost its oldest above.
+        let _ = self.times.push_back(now);
+        let began = *self.began.get_or_insert(now);
+        let fill = ((now - began).as_secs_f64() / self.span.as_secs_f64()).min(1.0);
+        let mut evidence = self.evidence(fill)?;
+        if fill >= 1.0 {
+            evidence.drift = self.cusum.add(now, evidence.score);
+        }
+        Ok(evidence)
+    }
+
+    /// The evidence of the nominal domain that the window lies nearest to.
+    fn evidence(&self, fill: f64) -> Result<Evidence, Undefined> {
+        let mut sums = self.sums.as_slice();
+        let mut nearest: Option<Evidence> = None;
+        for (index, component) in self.components.iter().enumerate() {
+            let len = component.taps.iter().map(|tap| tap.nominal.len()).sum();
+            let (own, rest) = sums.split_at(len);
+            sums = rest;
+            let blocks = self.blocks(component, own)?;
+            let deciding = self.metric.deciding(blocks.len());
+            let score = blocks[deciding]
+                .iter()
+                .map(|block| block.score)
+                .fold(f64::NEG_INFINITY, f64::max);
+            if nearest.as_ref().is_none_or(|nearest| score < nearest.score) {
+                nearest = Some(Evidence {
+                    score,
+                    blocks,
+                    component: index,
+                    drift: 0.0,
+                    frames: self.times.len(),
+                    fill,
+                });
+            }
+        }
+        nearest.ok_or(Undefined::NoScore)
+    }
+
+    /// The window beside the nominal domain that it lies nearest to, tap after tap; empty when it cannot be judged.
+    pub fn profiles(&self) -> Vec<TapProfile> {
+        let Ok(evidence) = self.evidence(1.0) else {
+            return Vec::new();
+        };
+        let (before, rest) = self.components.split_at(evidence.component);
+        let mut sums = &self.sums[Component::taken_len(before)..];
+        let taps = rest.first().map_or(&[][..], |component| &component.taps);
+        taps.iter()
+            .zip(&self.spreads[evidence.component])
+            .map(|(tap, spread)| {
+                let (own, rest) = sums.split_at(tap.nominal.len());
+                sums = rest;
+                TapProfile::new(tap, spread, own, self.times.len())
+            })
+            .collect()
+    }
+
+    fn blocks(
+        &self,
+        component: &Component,
+        mut sums: &[u64],
+    ) -> Result<heapless::Vec<BlockScore, TAPS_MAX>, Undefined> {
+        let frames = self.times.len();
+        let mut blocks = heapless::Vec::new();
+        for tap in &component.taps {
+            let (live, rest) = sums.split_at(tap.nominal.len());
+            sums = rest;
+            let compared = tap.nominal.compare(self.metric, live, frames)?;
+            let (median, threshold) = tap.scale_for(frames);
+            let score = (compared.gap - median) / (threshold - median);
+            if !score.is_finite() {
+                return Err(Undefined::NoScore);
+            }
+            // A reference has at most as many taps as a model.
+            let _ = blocks.push(BlockScore {
+                gap: compared.gap,
+                similarity: compared.similarity,
+                score,
+            });
+        }
+        Ok(blocks)
+    }
+
+    fn forget_oldest(&mut self) {
+        let bins = self.sums.len();
+        let slot = (self.next_slot + WINDOW_FRAMES_MAX - self.times.len()) % WINDOW_FRAMES_MAX;
+        if self.times.pop_front().is_some() {
+            let old = &self.ring[slot * bins..][..bins];
+            self.sums
+                .iter_mut()
+                .zip(old)
+                .for_each(|(sum, &count)| *sum -= u64::from(count));
+        }
+    }
+
+    fn restart(&mut self) {
+        self.times.clear();
+        self.sums.fill(0);
+        self.began = None;
+        self.cusum = Cusum::with_frames_every(self.period);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(
+        clippy::unwrap_used,
+        clippy::float_cmp,
+        clippy::cast_possible_truncation,
+        clippy::cast_precision_loss
+    )]
+    use super::*;
+    use crate::features::histogram::Binning;
+    use crate::reference::gap::Divergence;
+    use crate::reference::{Nominal, ScalePoint, TapReference};
+
+    #[test]
+    fn a_score_goes_before_a_drift_and_a_full_window_settles() {
+        let evidence = |score, drift, fill| Evidence {
+            score,
+            blocks: heapless::Vec::new(),
+            component: 0,
+            drift,
+            frames: 1,
+            fill,
+        };
+        let score = |score, settled| Judgement::Score { score, settled };
+        for (found, wanted) in [
+            (evidence(0.5, 0.5, 1.0), score(0.5, true)),
+            (evidence(0.5, 0.999, 0.999), score(0.5, false)),
+            (evidence(0.5, 1.0, 1.0), Judgement::Drift { settled: true }),
+            (
+                evidence(0.999, 1.0, 0.5),
+                Judgement::Drift { settled: false },
+            ),
+            (evidence(1.0, 1.0, 1.0), score(1.0, true)),
+            (evidence(2.0, 0.0, 1.0), score(2.0, true)),
+        ] {
+            assert_eq!(found.judgement(), wanted);
+        }
+    }
+
+    /// A detector of one tap with four bins, nominal (1, 1, 1, 1), median 0.1 and threshold 0.3 for any window.
+    fn detector(window_s: f64) -> Detector {
+        let metric = Metric::LogEnergy(Divergence::JensenShannon);
+        Detector::of(metric, vec![component(vec![1; 4])], window_s)
+    }
+
+    fn component(counts: Vec<u64>) -> Component {
+        let tap = TapReference {
+            tap: "e2".into(),
+            median_peak_energy: 1.0,
+            images: 1,
+            nominal: Nominal::Histogram {
+                binning: Binning::LogEnergy {
+                    epsilon: 1e-6,
+                    edges: vec![0.0, 1.0, 2.0],
+                },
+                counts,
+            },
+            scale: vec![ScalePoint {
+                frames: 1,
+                windows: 9,
+                median: 0.1,
+                threshold: 0.3,
+            }],
+        };
+        Component {
+            name: "simulation".into(),
+            taps: vec![tap],
+        }
+    }
+
+    #[test]
+    fn the_nearest_nominal_domain_counts() {
+        let metric = Metric::LogEnergy(Divergence::JensenShannon);
+        let two = vec![component(vec![1, 1, 0, 0]), component(vec![0, 0, 1, 1])];
+        let mut detector = Detector::of(metric, two, 1.0);
+        let seen = detector.observe(at(0), &[0, 0, 7, 7, 0, 0, 7, 7]).unwrap();
+        assert_eq!((seen.component, seen.blocks[0].gap), (1, 0.0));
+        assert_eq!(detector.taken_len(), 8);
+        // Of two that lie as near it is the first.
+        let two = vec![component(vec![1; 4]), component(vec![1; 4])];
+        let alike = Detector::of(metric, two, 1.0).observe(at(0), &[3, 1, 0, 0, 3, 1, 0, 0]);
+        assert_eq!(alike.unwrap().component, 0);
+    }
+
+    #[test]
+    fn profiles_are_of_the_nearest_domain_and_of_the_whole_window() {
+        let metric = Metric::LogEnergy(Divergence::JensenShannon);
+        let two = vec![component(vec![1, 1, 0, 0]), component(vec![0, 0, 1, 3])];
+        let mut detector = Detector::of(metric, two, 1.0);
+        assert_eq!(detector.profiles(), []);
+        detector.observe(at(0), &[0, 0, 8, 0, 0, 0, 8, 0]).unwrap();
+        detector
+            .observe(at(100), &[0, 0, 0, 8, 0, 0, 0, 8])
+            .unwrap();
+        let profiles = detector.profiles();
+        assert_eq!(profiles.len(), 1);
+        assert_eq!(profiles[0].live, [0.0, 0.0, 0.5, 0.5]);
+        assert_eq!(profiles[0].nominal, [0.0, 0.0, 0.25, 0.75]);
+    }
+
+    #[test]
+    fn scores_below_the_threshold_add_up_to_a_drift_at_any_rate() {
+        for step_ms in [20, 100, 500] {
+            let first_drift_s = |score: f64| {
+                let mut cusum = Cusum::default();
+                (0..60_000 / step_ms)
+                    .find(|&i| cusum.add(at(i * step_ms), score) >= 1.0)
+                    .map(|i| (i * step_ms) as f64 / 1_000.0)
+            };
+            assert_eq!(first_drift_s(0.7), None);
+            // 5 s of score above 0.75: 20 s at the threshold, 4 s at twice it and more.
+            for (score, wanted_s) in [(1.0, 20.0), (2.0, 4.0), (90.0, 4.0)] {
+                let found_s = first_drift_s(score).unwrap();
+                assert!((found_s - wanted_s).abs() <= 0.5, "{score}: {found_s} s");
+            }
+        }
+    }
+
+    #[test]
+    fn a_drift_is_over_at_once_and_forgotten_within_seven_seconds() {
+        let mut cusum = Cusum::default();
+        (0..600).for_each(|i| {
+            cusum.add(at(100 * i), 2.0);
+        });
+        let left: Vec<f64> = (600..670).map(|i| cusum.add(at(100 * i), 0.0)).collect();
+        assert!(left[0] < 1.0 && left[69] <= 0.01, "{left:?}");
+    }
+
+    #[test]
+    fn a_hole_adds_nothing_to_a_drift() {
+        // 3 s at a score of 1.75 add 3.
+        let drift_behind = |pause_ms: u64, slow: bool| {
+            let mut cusum = if slow {
+                Cusum::with_frames_every(at(1_000))
+            } else {
+                Cusum::default()
+            };
+            (0..=30).for_each(|i| {
+                cusum.add(at(100 * i), 1.75);
+            });
+            cusum.add(at(3_000 + pause_ms), 1.75)
+        };
+        let close = |a: f64, b: f64| (a - b).abs() < 1e-9;
+        assert!(close(drift_behind(500, false), 0.7));
+        assert!(close(drift_behind(501, false), 0.6));
+        assert!(close(drift_behind(2_000, false), 0.6));
+        assert!(close(drift_behind(2_001, false), 0.0));
+        assert!(close(drift_behind(600_000, false), 0.0));
+        assert!(close(drift_behind(1_500, true), 0.9));
+        assert!(close(drift_behind(1_501, true), 0.6));
+    }
+
+    fn at(ms: u64) -> Duration {
+        Duration::from_millis(ms)
+    }
+
+    #[test]
+    fn the_score_is_0_at_the_median_and_1_at_the_threshold() {
+        let seen = detector(1.0).observe(at(0), &[5, 5, 5, 5]).unwrap();
+        assert!((seen.score - (0.0 - 0.1) / (0.3 - 0.1)).abs() < 1e-12);
+        let apart = detector(1.0).observe(at(0), &[9, 0, 0, 0]).unwrap();
+        assert!(
+            (apart.score - (apart.blocks[0].gap - 0.1) / 0.2).abs() < 1e-12 && apart.score > 1.0
+        );
+    }
+
+    #[test]
+    fn the_window_is_the_sum_of_the_frames_in_its_span_at_any_rate() {
+        for (step_ms, wanted) in [
+            (1_000, 1),
+            (500, 2),
+            (100, 10),
+            (33, 31),
+            (10, WINDOW_FRAMES_MAX),
+        ] {
+            let mut detector = detector(1.0);
+            for i in 0..200_u64 {
+                let counts = [i as u32, 1, 0, 2 * i as u32];
+                let seen = detector.observe(at(i * step_ms), &counts).unwrap();
+                assert_eq!(
+                    seen.frames,
+                    wanted.min(i as usize + 1),
+                    "every {step_ms} ms"
+                );
+                let in_window = (i + 1 - seen.frames as u64)..=i;
+                let first: u64 = in_window.clone().sum();
+                assert_eq!(detector.sums, [first, seen.frames as u64, 0, 2 * first]);
+            }
+        }
+    }
+
+    #[test]
+    fn a_hole_in_time_or_a_step_back_starts_the_window_anew() {
+        let mut detector = detector(1.0);
+        let frames = |detector: &mut Detector, ms| {
+            let seen = detector.observe(at(ms), &[1, 2, 3, 4]).unwrap();
+            (seen.frames, seen.fill)
+        };
+        assert_eq!(frames(&mut detector, 0), (1, 0.0));
+        assert_eq!(frames(&mut detector, 500), (2, 0.5));
+        assert_eq!(frames(&mut detector, 1_200), (2, 1.0));
+        assert_eq!(
+            frames(&mut detector, 3_300),
+            (1, 0.0),
+            "a hole of more than two windows"
+        );
+        assert_eq!(frames(&mut detector, 3_400), (2, 0.1));
+        assert_eq!(frames(&mut detector, 100), (1, 0.0), "time that goes back");
+        assert_eq!(frames(&mut detector, 100), (2, 0.0), "time that stands");
+        assert_eq!(frames(&mut detector, 2_100), (1, 1.0), "just no hole");
+    }
+
+    #[test]
+    fn the_window_fills_over_its_own_span_and_drift_counts_once_it_is_full() {
+        let mut detector = detector(0.4);
+        for i in 0..60 {
+            let seen = detector.observe(at(100 * i), &[9, 0, 0, 0]).unwrap();
+            let full = i >= 4;
+            assert!((seen.fill - (i as f64 / 4.0).min(1.0)).abs() < 1e-12);
+            // The first frame of a drift has no time behind it.
+            assert_eq!(seen.drift > 0.0, full && i > 4, "frame {i}");
+        }
+    }
+
+    #[test]
+    fn empty_histograms_have_no_score() {
+        assert_eq!(
+            detector(1.0).observe(at(0), &[0; 4]),
+            Err(Undefined::EmptyHistogram)
+        );
+    }
+}

@@ -1,0 +1,65 @@
+//! What the nominal domains of a reference take of one frame: counts of pixels, or levels of energies.
+
+use crate::capture::undefined::Undefined;
+use crate::features::attention::{EnergyMap, Upsampler};
+use crate::features::energies::BlockMeans;
+use crate::reference::Component;
+use crate::reference::gap::Metric;
+
+/// Takes frames in for some nominal domains. Keeps its buffers.
+pub struct Intake {
+    /// Energy maps are looked at, not only means.
+    needs_maps: bool,
+    /// Size that maps are resampled to, width and height.
+    common_size: (usize, usize),
+    /// By tap, once the sizes of the maps are known.
+    upsamplers: Vec<Upsampler>,
+    /// By tap, energy maps at the common size.
+    common: Vec<EnergyMap>,
+}
+
+impl Intake {
+    /// For frames of `taps` blocks whose maps are compared at `common_size`.
+    pub fn new(metric: Metric, taps: usize, common_size: (usize, usize)) -> Self {
+        Self {
+            needs_maps: metric.divergence().is_some(),
+            common_size,
+            upsamplers: Vec::new(),
+            common: vec![EnergyMap::default(); taps],
+        }
+    }
+
+    /// Fills `taken`, for each domain tap after tap, from a frame's maps at their blocks' own sizes and its means.
+    ///
+    /// # Errors
+    /// Why a domain has no use for the frame.
+    pub fn take(
+        &mut self,
+        maps: &[EnergyMap],
+        means: &[BlockMeans],
+        components: &[Component],
+        mut taken: &mut [u32],
+    ) -> Result<(), Undefined> {
+        if self.needs_maps {
+            if self.upsamplers.is_empty() {
+                let sizes = maps.iter().map(|map| (map.width, map.height));
+                self.upsamplers = sizes
+                    .map(|from| Upsampler::new(from, self.common_size))
+                    .collect();
+            }
+            let resampled = self.upsamplers.iter().zip(&mut self.common);
+            for (map, (upsampler, common)) in maps.iter().zip(resampled) {
+                upsampler.resample(map, common);
+            }
+        }
+        for component in components {
+            let blocks = self.common.iter().zip(means);
+            for (tap, (common, means)) in component.taps.iter().zip(blocks) {
+                let (own, rest) = taken.split_at_mut(tap.nominal.len());
+                tap.nominal.take(common, means, own)?;
+                taken = rest;
+            }
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,167 @@
+//! What was seen → what is known: the alarm, and the verdict on each frame or on the lack of one. Pure; time is passed in.
+
+use std::time::Duration;
+
+use crate::capture::undefined::Undefined;
+use crate::features::image_quality::ImageQuality;
+use crate::model::TAPS_MAX;
+use crate::monitor::alarm::{Alarm, AlarmState, Judgement, Reason};
+use crate::monitor::detector::{BlockScore, Evidence};
+
+/// What a frame adds to what was seen before.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Sighting {
+    /// Time of the frame.
+    pub at: Duration,
+    /// Its number.
+    pub sequence: u64,
+    /// How good the picture was; `None` when the frame cannot be judged.
+    pub quality: Option<ImageQuality>,
+    /// What the window says of the road, or why nothing can be said.
+    pub evidence: Result<Evidence, Undefined>,
+}
+
+/// What is known after a frame.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Verdict {
+    /// Time of the frame.
+    pub at: Duration,
+    /// Its number; `None` for a verdict that no frame gave.
+    pub sequence: Option<u64>,
+    /// What the car is told.
+    pub state: AlarmState,
+    /// Why.
+    pub reason: Reason,
+    /// Why this frame has no score, in words.
+    pub undefined: Option<Undefined>,
+    /// The largest score of the blocks: 0 nominal, 1 alarm threshold; `None` when the frame cannot be judged.
+    pub score: Option<f64>,
+    /// One entry a tap; empty when the frame cannot be judged.
+    pub blocks: heapless::Vec<BlockScore, TAPS_MAX>,
+    /// How good the picture was; `None` when the frame cannot be judged.
+    pub quality: Option<ImageQuality>,
+    /// Frames in the detector's window; `None` when the frame cannot be judged.
+    pub window_frames: Option<usize>,
+    /// The nominal domain that the window lies nearest to, by its place in the reference.
+    pub nominal_domain: Option<usize>,
+    /// How far scores have added up, 1 is a drift.
+    pub drift: Option<f64>,
+    /// Share of the detector's window that is filled, 0..1; `None` when the frame cannot be judged.
+    pub window_fill: Option<f64>,
+    /// Fault detection counter, -128..127.
+    pub fault_detection_counter: i8,
+    /// A gap was reported since the start.
+    pub gap_stored: bool,
+}
+
+impl Verdict {
+    /// Before the first frame.
+    pub fn nothing_yet() -> Self {
+        Self {
+            at: Duration::ZERO,
+            sequence: None,
+            state: AlarmState::Init,
+            reason: Reason::Starting,
+            undefined: None,
+            score: None,
+            quality: None,
+            blocks: heapless::Vec::new(),
+            window_frames: None,
+            nominal_domain: None,
+            drift: None,
+            window_fill: None,
+            fault_detection_counter: 0,
+            gap_stored: false,
+        }
+    }
+
+    /// Nothing could be judged, whoever is to blame.
+    pub fn is_unjudged(&self) -> bool {
+        matches!(
+            self.state,
+            AlarmState::Unavailable | AlarmState::SensorFault
+        )
+    }
+}
+
+/// Judges what was seen.
+#[derive(Clone, Debug, Default)]
+pub struct Judge {
+    alarm: Alarm,
+}
+
+impl Judge {
+    /// Frames may come as slowly as one every `period`: see [`Alarm::with_frames_every`].
+    pub fn with_frames_every(period: Duration) -> Self {
+        Self {
+            alarm: Alarm::with_frames_every(period),
+        }
+    }
+
+    /// What is known after a frame.
+    pub fn judge(&mut self, seen: Sighting) -> Verdict {
+        let judgement = match &seen.evidence {
+            Ok(evidence) => evidence.judgement(),
+            Err(why) => Judgement::Cannot(Reason::from(why)),
+        };
+        self.alarm.step(seen.at, judgement);
+        let (evidence, undefined) = match seen.evidence {
+            Ok(evidence) => (Some(evidence), None),
+            Err(why) => (None, Some(why)),
+        };
+        let known = Verdict {
+            sequence: Some(seen.sequence),
+            undefined,
+            quality: seen.quality,
+            ..self.verdict(seen.at)
+        };
+        match evidence {
+            None => known,
+            Some(evidence) => Verdict {
+                score: Some(evidence.score),
+                window_frames: Some(evidence.frames),
+                nominal_domain: Some(evidence.component),
+                drift: Some(evidence.drift),
+                window_fill: Some(evidence.fill),
+                blocks: evidence.blocks,
+                ..known
+            },
+        }
+    }
+
+    /// What is known at `now` when the frame before it came too long ago, at the moment that the silence became too long;
+    /// `None` while it has not, and once it was told.
+    pub fn silence(&mut self, now: Duration) -> Option<Verdict> {
+        let at = self
+            .alarm
+            .stale_at()
+            .filter(|&at| at < now && self.alarm.state() != AlarmState::Unavailable)?;
+        self.alarm.step(at, Judgement::Cannot(Reason::Stale));
+        Some(Verdict {
+            undefined: Some(Undefined::Silence),
+            ..self.verdict(at)
+        })
+    }
+
+    /// Nobody has looked until `now`: see [`Alarm::rest`].
+    pub fn rest(&mut self, now: Duration) {
+        self.alarm.rest(now);
+    }
+
+    /// Clears the stored bit, and says whether it did: refused while there is a gap.
+    pub fn clear_stored(&mut self) -> bool {
+        self.alarm.clear_stored()
+    }
+
+    /// What the alarm says, at the time `at`.
+    fn verdict(&self, at: Duration) -> Verdict {
+        Verdict {
+            at,
+            state: self.alarm.state(),
+            reason: self.alarm.reason(),
+            fault_detection_counter: self.alarm.fault_detection_counter(),
+            gap_stored: self.alarm.gap_stored(),
+            ..Verdict::nothing_yet()
+        }
+    }
+}

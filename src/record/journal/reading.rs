@@ -1,0 +1,426 @@
+//! Journals read again. A line that is not what a journal holds is refused by number, with what was found and wanted.
+
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::{BufRead, BufReader, Read};
+use std::path::{Path, PathBuf};
+
+use serde::de::DeserializeOwned;
+use serde_json::{Map, Value};
+
+use super::{About, VERSION};
+use crate::capture::clock::ClockTime;
+use crate::monitor::alarm::AlarmState;
+
+/// Longest line that is read: a thousand times a usual one.
+const LINE_MAX: u64 = 1 << 20;
+/// Most lines that are read: a week at 10 frames a second.
+const LINES_MAX: usize = 6_048_000;
+/// Most characters of a line that an error repeats.
+const SHOWN_MAX: usize = 60;
+
+const STATES: [AlarmState; 6] = [
+    AlarmState::Init,
+    AlarmState::Ok,
+    AlarmState::Suspect,
+    AlarmState::Gap,
+    AlarmState::SensorFault,
+    AlarmState::Unavailable,
+];
+
+/// A journal that cannot be read.
+#[derive(Debug, thiserror::Error)]
+pub enum ReadError {
+    /// The file itself.
+    #[error("journal {}: {error}", path.display())]
+    Unreadable {
+        /// Which.
+        path: PathBuf,
+        /// Why.
+        error: std::io::Error,
+    },
+    /// It has no line of a frame.
+    #[error("journal {}: found no line; wanted at least one frame, as replay --journal writes them", .0.display())]
+    Empty(PathBuf),
+    /// It was written by another version.
+    #[error("journal {}: found {found}; wanted version {VERSION}: make it again with replay --journal or monitor --journal of this gapwatch", path.display())]
+    Version {
+        /// Which file.
+        path: PathBuf,
+        /// The version that it has.
+        found: String,
+    },
+    /// One of its lines.
+    #[error("journal {}, line {line}: found {found}; wanted {wanted}", path.display())]
+    Line {
+        /// Which file.
+        path: PathBuf,
+        /// From 1.
+        line: usize,
+        /// What stands there.
+        found: String,
+        /// What would do.
+        wanted: String,
+    },
+}
+
+/// One line: what was known after a frame.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Entry {
+    /// When it was told, seconds since the source began.
+    pub t_s: f64,
+    /// Time of the frame, seconds since the source began; `None` for a verdict that no frame gave.
+    pub captured_s: Option<f64>,
+    /// Its number; `None` for a verdict that no frame gave.
+    pub sequence: Option<u64>,
+    /// What the car was told.
+    pub state: AlarmState,
+    /// Why, in the journal's word.
+    pub reason: String,
+    /// The largest score of the blocks; `None` when the frame was not judged.
+    pub score: Option<f64>,
+    /// Gap by tap.
+    pub gap: BTreeMap<String, Option<f64>>,
+    /// Similarity by tap.
+    pub similarity: BTreeMap<String, Option<f64>>,
+    /// Score by tap.
+    pub tap_score: BTreeMap<String, Option<f64>>,
+    /// `ok`, or why the frame was not judged.
+    pub health: String,
+    /// From frame to verdict, milliseconds.
+    pub latency_ms: f64,
+}
+
+/// A whole journal.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Reading {
+    /// What the run was made with.
+    pub about: About,
+    /// When it began.
+    pub began: ClockTime,
+    /// In order of time; never empty when read.
+    pub entries: Vec<Entry>,
+    /// The last line breaks off: the run was killed, or lost its power, while it wrote. It is left out.
+    pub breaks_off: bool,
+}
+
+/// Reads a journal, also one that is being written.
+///
+/// # Errors
+/// When the file cannot be read, is of another version, has no line of a frame, or one of its lines is not a journal's.
+pub fn read(path: &Path) -> Result<Reading, ReadError> {
+    let unreadable = |error| ReadError::Unreadable {
+        path: path.to_owned(),
+        error,
+    };
+    let mut lines = BufReader::new(File::open(path).map_err(unreadable)?);
+    let mut reading = Reading::default();
+    for line in 1.. {
+        let refused = |(found, wanted): (String, String)| ReadError::Line {
+            path: path.to_owned(),
+            line,
+            found,
+            wanted,
+        };
+        let mut bytes = Vec::new();
+        let length = (&mut lines)
+            .take(LINE_MAX)
+            .read_until(b'\n', &mut bytes)
+            .map_err(unreadable)?;
+        if length == 0 {
+            break;
+        }
+        if length as u64 == LINE_MAX {
+            let wanted = format!("lines shorter than {LINE_MAX} bytes");
+            return Err(refused(("a longer line".to_owned(), wanted)));
+        }
+        if line > LINES_MAX {
+            let wanted = format!("at most {LINES_MAX} lines");
+            return Err(refused(("more lines".to_owned(), wanted)));
+        }
+        if bytes.last() != Some(&b'\n') {
+            reading.breaks_off = true;
+            break;
+        }
+        let object = object(&bytes).map_err(refused)?;
+        if line == 1 {
+            let found = version(&object).map_err(refused)?;
+            if found != VERSION {
+                return Err(ReadError::Version {
+                    path: path.to_owned(),
+                    found: format!("version {found}"),
+                });
+            }
+            reading.about = part(&object, "about").map_err(refused)?;
+            reading.began = part(&object, "began").map_err(refused)?;
+            continue;
+        }
+        let entry = entry(&object).map_err(refused)?;
+        if let Some(before) = reading.entries.last().filter(|e| e.t_s > entry.t_s) {
+            return Err(refused((
+                format!("t_s {} after {}", entry.t_s, before.t_s),
+                "time that does not run backwards".to_owned(),
+            )));
+        }
+        reading.entries.push(entry);
+    }
+    if reading.entries.is_empty() {
+        return Err(ReadError::Empty(path.to_owned()));
+    }
+    Ok(reading)
+}
+
+/// What was found and what was wanted.
+type Mismatch = (String, String);
+
+fn object(bytes: &[u8]) -> Result<Map<String, Value>, Mismatch> {
+    match serde_json::from_slice(bytes) {
+        Ok(Value::Object(object)) => Ok(object),
+        _ => Err((
+            shown(String::from_utf8_lossy(bytes).trim()),
+            "one JSON object, {\"t_s\": …, \"state\": …, …}".to_owned(),
+        )),
+    }
+}
+
+/// The version by the first line. The first one had none, and began with a frame.
+fn version(first: &Map<String, Value>) -> Result<u64, Mismatch> {
+    match first.get("gapwatch_journal") {
+        Some(version) => version.as_u64().ok_or_else(|| {
+            let wanted = VERSION.to_string();
+            mismatch(first, "gapwatch_journal", &wanted)
+        }),
+        None if first.contains_key("t_s") => Ok(1),
+        None => Err((
+            "no \"gapwatch_journal\"".to_owned(),
+            "the first line of a journal, {\"gapwatch_journal\": 2, …}".to_owned(),
+        )),
+    }
+}
+
+/// A part of the first line; one that is left out says nothing.
+fn part<T: Default + DeserializeOwned>(
+    first: &Map<String, Value>,
+    key: &str,
+) -> Result<T, Mismatch> {
+    let Some(value) = first.get(key) else {
+        return Ok(T::default());
+    };
+    serde_json::from_value(value.clone())
+        .map_err(|_| mismatch(first, key, "an object as gapwatch writes it"))
+}
+
+fn entry(object: &Map<String, Value>) -> Result<Entry, Mismatch> {
+    let text = |key: &str| {
+        let text = value(object, key)?.as_str().map(str::to_owned);
+        text.ok_or_else(|| mismatch(object, key, "text"))
+    };
+    let from_0 = |key: &str| match given(object, key) {
+        None => Ok(None),
+        Some(number) => match number.as_f64().filter(|&n| n >= 0.0) {
+            Some(number) => Ok(Some(number)),
+            None => Err(mismatch(object, key, "a number not below 0")),
+        },
+    };
+    let state = text("state")?;
+    let state = STATES.into_iter().find(|s| s.name() == state);
+    let whole = |number: &Value| {
+        let number = number.as_u64();
+        number.ok_or_else(|| mismatch(object, "seq", "a whole number or null"))
+    };
+    let score = |number: &Value| {
+        let number = number.as_f64();
+        number.ok_or_else(|| mismatch(object, "score", "a number or null"))
+    };
+    Ok(Entry {
+        t_s: from_0("t_s")?.ok_or_else(|| mismatch(object, "t_s", "a number not below 0"))?,
+        captured_s: from_0("captured_s")?,
+        sequence: given(object, "seq").map(whole).transpose()?,
+        state: state
+            .ok_or_else(|| mismatch(object, "state", &STATES.map(AlarmState::name).join(", ")))?,
+        reason: given(object, "reason").map_or(Ok("none".to_owned()), |_| text("reason"))?,
+        score: given(object, "score").map(score).transpose()?,
+        gap: per_tap(object, "gap")?,
+        similarity: per_tap(object, "similarity")?,
+        tap_score: per_tap(object, "tap_score")?,
+        health: given(object, "health").map_or(Ok("ok".to_owned()), |_| text("health"))?,
+        latency_ms: from_0("latency_ms")?.unwrap_or_default(),
+    })
+}
+
+/// One number a tap; none where the line does not say.
+fn per_tap(
+    object: &Map<String, Value>,
+    key: &str,
+) -> Result<BTreeMap<String, Option<f64>>, Mismatch> {
+    let wanted = || mismatch(object, key, "an object with a number or null for each tap");
+    let Some(taps) = given(object, key) else {
+        return Ok(BTreeMap::new());
+    };
+    let taps = taps.as_object().ok_or_else(wanted)?;
+    taps.iter()
+        .map(|(tap, value)| Ok((tap.clone(), number_or_null(value).ok_or_else(wanted)?)))
+        .collect()
+}
+
+/// The number, or that there is none; `None` when it is something else.
+#[allow(clippy::option_option)]
+fn number_or_null(value: &Value) -> Option<Option<f64>> {
+    if value.is_null() {
+        Some(None)
+    } else {
+        value.as_f64().map(Some)
+    }
+}
+
+/// What a line says, if it says it.
+fn given<'a>(object: &'a Map<String, Value>, key: &str) -> Option<&'a Value> {
+    object.get(key).filter(|value| !value.is_null())
+}
+
+fn value<'a>(object: &'a Map<String, Value>, key: &str) -> Result<&'a Value, Mismatch> {
+    object
+        .get(key)
+        .ok_or_else(|| (format!("no {key:?}"), "it in every line".to_owned()))
+}
+
+fn mismatch(object: &Map<String, Value>, key: &str, wanted: &str) -> Mismatch {
+    let found = object.get(key).map(Value::to_string).unwrap_or_default();
+    (format!("{key}: {}", shown(&found)), wanted.to_owned())
+}
+
+/// Text of others for one line of an error: cut, and without what could move the cursor.
+fn shown(text: &str) -> String {
+    let cut: String = text.chars().take(SHOWN_MAX).collect();
+    let more = if cut.len() < text.len() { "…" } else { "" };
+    format!("{}{more}", cut.escape_debug())
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, clippy::float_cmp)]
+    use super::*;
+
+    const FIRST: &str = r#"{"gapwatch_journal":2,"began":{"utc":"2026-01-02T03:04:05.678Z","is_set":true,"monotonic_s":7.5},"about":{"source":"s"}}"#;
+    const LINE: &str = r#"{"t_s":0.5,"captured_s":0.49,"seq":5,"state":"Ok","reason":"none","score":0.25,"gap":{"e2":0.1,"e3":null},"similarity":{"e2":0.9,"e3":null},"health":"ok","latency_ms":3.5}"#;
+
+    fn reading(text: &str) -> Result<Reading, String> {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("j.jsonl");
+        std::fs::write(&path, text).unwrap();
+        read(&path).map_err(|error| error.to_string())
+    }
+
+    #[test]
+    fn a_line_is_read_as_it_was_written() {
+        let reading = reading(&format!("{FIRST}\n{LINE}\n{LINE}\n")).unwrap();
+        assert_eq!((reading.entries.len(), reading.breaks_off), (2, false));
+        let entry = &reading.entries[0];
+        assert_eq!((entry.t_s, entry.captured_s), (0.5, Some(0.49)));
+        assert_eq!(entry.sequence, Some(5));
+        assert_eq!((entry.state, entry.score), (AlarmState::Ok, Some(0.25)));
+        assert_eq!((entry.gap["e2"], entry.gap["e3"]), (Some(0.1), None));
+        assert!(entry.tap_score.is_empty());
+        assert_eq!(reading.about.source, "s");
+        assert_eq!(reading.began.monotonic_s, 7.5);
+    }
+
+    #[test]
+    fn what_a_line_does_not_say_may_be_left_out_or_null() {
+        let short = r#"{"t_s":1,"state":"Unavailable"}"#;
+        let nulls = r#"{"t_s":2,"captured_s":null,"seq":null,"state":"Init","reason":null,"score":null,"gap":null,"health":null,"latency_ms":null,"later":1}"#;
+        let first = r#"{"gapwatch_journal":2}"#;
+        let reading = reading(&format!("{first}\n{short}\n{nulls}\n")).unwrap();
+        for entry in &reading.entries {
+            assert_eq!(
+                (entry.captured_s, entry.sequence, entry.score),
+                (None, None, None)
+            );
+            assert_eq!(
+                (entry.reason.as_str(), entry.health.as_str()),
+                ("none", "ok")
+            );
+            assert!(entry.gap.is_empty());
+        }
+        assert_eq!(reading.about, About::default());
+    }
+
+    #[test]
+    fn of_a_run_that_was_killed_the_whole_lines_are_read() {
+        let text = format!("{FIRST}\n{LINE}\n{LINE}\n");
+        let first = FIRST.len() + 1;
+        for cut in first + LINE.len() + 1..text.len() {
+            let reading = reading(&text[..cut]).unwrap();
+            assert_eq!(reading.entries.len(), 1, "{cut}");
+            assert_eq!(reading.breaks_off, cut > first + LINE.len() + 1);
+        }
+        assert!(reading(&text[..first]).unwrap_err().contains("no line"));
+    }
+
+    #[test]
+    fn a_journal_of_another_version_is_refused_with_what_would_do() {
+        for (text, found) in [
+            (format!("{LINE}\n"), "found version 1;"),
+            (FIRST.replace(":2,", ":3,") + "\n", "found version 3;"),
+        ] {
+            let said = reading(&text).unwrap_err();
+            assert!(said.contains(found) && said.contains("again"), "{said}");
+        }
+    }
+
+    #[test]
+    fn what_is_no_journal_is_refused_with_line_found_and_wanted() {
+        let second =
+            |from: &str, to: &str| format!("{FIRST}\n{LINE}\n{}\n", LINE.replacen(from, to, 1));
+        for (text, parts) in [
+            (String::new(), ["found no line", "wanted at least one"]),
+            ("{}\n".to_owned(), ["line 1", "the first line of a journal"]),
+            (
+                FIRST.replace(":2,", ":\"2\",") + "\n",
+                ["line 1: found gapwatch_journal", "wanted 2"],
+            ),
+            (
+                FIRST.replace("{\"source\":\"s\"}", "7") + "\n",
+                ["line 1: found about: 7", "an object"],
+            ),
+            (
+                format!("{FIRST}\n{LINE}\nhello\n"),
+                ["line 3: found hello", "JSON object"],
+            ),
+            (format!("{FIRST}\n{LINE}\n\n"), ["line 3", "JSON object"]),
+            (
+                second("\"state\":\"Ok\",", ""),
+                ["line 3: found no \"state\"", "every line"],
+            ),
+            (second("0.5", "-1"), ["t_s: -1", "not below 0"]),
+            (second("0.5", "0.25"), ["t_s 0.25 after 0.5", "backwards"]),
+            (second("0.5", "1e999"), ["line 3", "JSON object"]),
+            (
+                second("\"Ok\"", "\"Fine\""),
+                ["state: \\\"Fine\\\"", "Init, Ok, Suspect"],
+            ),
+            (
+                second("0.25", "\"high\""),
+                ["score: \\\"high\\\"", "a number or null"],
+            ),
+            (second("null", "[]"), ["gap: {", "each tap"]),
+            (
+                second("\"seq\":5", "\"seq\":-5"),
+                ["seq: -5", "whole number"],
+            ),
+            (
+                second("3.5", "\"x\""),
+                ["latency_ms: \\\"x\\\"", "a number"],
+            ),
+            (
+                "x".repeat(1 << 21),
+                ["line 1: found a longer line", "shorter than"],
+            ),
+        ] {
+            let said = reading(&text).unwrap_err();
+            for part in parts {
+                assert!(said.contains(part), "wanted {part}: {said}");
+            }
+        }
+    }
+}
