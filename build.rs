@@ -18,7 +18,7 @@ fn main() -> Result<(), Box<dyn Error>> {
 
     // One constant `ATTRIBUTES` a message: what the DBC says beyond its signals.
     let attributes = AttributeStruct {
-        type_path: "super::MessageAttributes",
+        type_path: "MessageAttributes",
         const_name: "ATTRIBUTES",
         scope: AttributeScope::Message,
         require: "E2EDataId",

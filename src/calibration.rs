@@ -1,11 +1,30 @@
-//! Nominal drives to a reference.
+//! Nominal drives to a reference: what the encoder saw of them, what is nominal, and the thresholds for a rate of false alarms.
 
 pub mod survey;
 
-mod calibrate;
+pub mod drive;
+mod error;
+mod wanted;
+
+mod binning;
 mod false_alarms;
+mod windows;
+
+mod stretch;
+
+mod fitting;
+
+mod calibrate;
 
 pub mod shard;
 
-pub use calibrate::*;
+pub use binning::{
+    EPSILON_SHARE, LOG_ENERGY_BINS, PaperBinning, TEMPERATURE_SHARE, TapHistogram, Temperature,
+    counts_of,
+};
+pub use calibrate::{Calibrated, Domain, calibrate, looks};
+pub use drive::{Drive, LabelledDrive, LabelledMeans};
+pub use error::CalibrationError;
 pub use false_alarms::{DriveScores, is_judging};
+pub use wanted::Wanted;
+pub use windows::drive_scores;

@@ -1,4 +1,6 @@
-//! Rates of events, and intervals by resampling.
+//! Quantiles, intervals by resampling, and rates of events.
 
-pub(crate) mod bootstrap;
+pub mod quantile;
+
+pub mod bootstrap;
 pub mod event_rate;

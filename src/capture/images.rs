@@ -6,7 +6,10 @@ use std::path::{Path, PathBuf};
 use super::compressed::decoded;
 use super::names::name_order;
 use super::pixels::Pixels;
-use super::{FOLDER_FPS, Frame, FrameSource, Picture, PictureError, SourceError, time_of};
+use super::{Frame, FrameSource, Picture, PictureError, SourceError, time_of};
+
+/// Frames a second of a folder of images, unless its name says otherwise.
+pub const FOLDER_FPS: f64 = 10.0;
 
 /// Whether the name ends like an image that can be read.
 pub fn is_image(path: &Path) -> bool {

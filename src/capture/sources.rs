@@ -10,9 +10,6 @@ use super::period::WantedPeriod;
 use super::wish::{CameraFacts, CameraWish};
 use super::{images, random, recording, video};
 
-/// Frames a second of a folder of images, unless its name says otherwise.
-pub const FOLDER_FPS: f64 = 10.0;
-
 /// The built-in drive: nominal for 20 s, fog of 60 m visibility to 40 s, nominal again to 60 s.
 pub const BUILT_IN_DRIVE: &str = "scene:sim?seed=7&seconds=60&fps=10&condition=fog:4@20-40";
 
@@ -89,7 +86,7 @@ pub fn open(name: &str) -> Result<Box<dyn FrameSource>, SourceError> {
     if path.is_dir() && topic.is_none() {
         return Ok(Box::new(images::ImageSource::folder(
             path,
-            fps.unwrap_or(FOLDER_FPS),
+            fps.unwrap_or(images::FOLDER_FPS),
         )?));
     }
     if !path.exists() {

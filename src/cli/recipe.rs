@@ -4,8 +4,9 @@ use std::borrow::Cow;
 use std::collections::HashSet;
 
 use anyhow::{Context, bail};
+use gapwatch::calibration::drive::StoreError;
 use gapwatch::calibration::shard::ShardSource;
-use gapwatch::calibration::survey::store::{Content, Kept, StoreError, Stored, SurveyStore};
+use gapwatch::calibration::survey::store::{Content, Kept, Stored, SurveyStore};
 use gapwatch::calibration::survey::{Keep, Survey};
 use gapwatch::calibration::{
     Calibrated, Domain, Drive, LabelledDrive, LabelledMeans, Wanted, calibrate, looks,

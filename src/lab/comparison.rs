@@ -3,13 +3,14 @@
 use serde::Serialize;
 
 use crate::calibration::survey::Survey;
-use crate::calibration::{PaperBinning, TapHistogram, counts_of, median};
+use crate::calibration::{PaperBinning, TapHistogram, counts_of};
 use crate::capture::undefined::Undefined;
 use crate::features::attention::EnergyMap;
 use crate::features::energies::BlockMeans;
 use crate::features::histogram::{Binning, HistogramSum};
 use crate::reference::gap::moments::{self, EnergyNorm, Moments};
 use crate::reference::gap::{Divergence, Metric, NeedsLabels, frechet};
+use crate::statistics::quantile::median;
 
 /// The frames of a set, which may be several drives.
 pub struct ImageSet {

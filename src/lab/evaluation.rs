@@ -17,7 +17,6 @@ pub mod watched;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use crate::calibration::median;
 use crate::capture::Picture;
 use crate::capture::pixels::Pixels;
 use crate::capture::undefined::Undefined;
@@ -27,6 +26,7 @@ use crate::features::lane::{LaneMask, Overlap, energy_on_lanes};
 use crate::lab::scene::{Condition, ConditionKind, Drive, Look, Renderer, World, scene_moment};
 use crate::model::ModelSpec;
 use crate::model::encoder::{Encoder, EncoderError};
+use crate::statistics::quantile::median;
 
 pub use resampling::binomial_interval;
 use resampling::interval;

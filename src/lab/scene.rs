@@ -12,6 +12,7 @@
 
 mod canvas;
 mod conditions;
+mod drive;
 mod ground;
 mod lens;
 mod light;
@@ -32,19 +33,11 @@ mod weather;
 mod world;
 
 pub use conditions::{Condition, ConditionError, ConditionKind, RAMP_S, Severities, severities_at};
+pub use drive::Drive;
 pub use render::{Labelled, Renderer};
 pub use source::open;
 pub use spec::{DriveSpec, SpecError};
 pub use world::{Element, Look, World, WorldError};
-
-use light::{Colour, Light};
-use markings::Layout;
-use noise::{Draws, hash};
-use projection::CameraMount;
-use road::Road;
-use sensor::Sensor;
-use surroundings::Surroundings;
-use traffic::Traffic;
 
 /// Seed of the drive and time in it, seconds, of scene `index` of the scene set `set`: one moment of a drive of its own.
 ///
@@ -52,44 +45,6 @@ use traffic::Traffic;
 pub fn scene_moment(set: u32, index: u32) -> (u64, f64) {
     let seed = (u64::from(set) + 1) << 32 | u64::from(index);
     (seed, f64::from(index % 600))
-}
-
-/// A drive that can be rendered at any time.
-#[derive(Clone, Debug)]
-pub struct Drive {
-    seed: u32,
-    road: Road,
-    layout: Layout,
-    surroundings: Surroundings,
-    traffic: Traffic,
-    light: Light,
-    camera: CameraMount,
-    sensor: Sensor,
-    /// Colour of the own bonnet, where it is in view.
-    bonnet: Option<Colour>,
-    conditions: Vec<Condition>,
-}
-
-impl Drive {
-    /// The drive of a seed in a world under a list of conditions.
-    pub fn new(world: &World, seed: u64, conditions: &[Condition]) -> Self {
-        let seed = hash((seed >> 32) as u32, seed as u32 as i32, 0);
-        let part = |name| Draws(Draws(seed).seed(name));
-        Self {
-            seed,
-            road: Road::new(part("road"), world),
-            layout: Layout::new(part("layout"), world),
-            surroundings: Surroundings::new(part("surroundings"), world),
-            traffic: Traffic::new(part("traffic"), world),
-            light: Light::new(part("light"), world),
-            camera: CameraMount::new(part("camera"), world),
-            sensor: Sensor::new(part("sensor"), world),
-            bonnet: (world.look == Look::Game).then(|| {
-                part("bonnet").pick("paint", &[[0.04, 0.04, 0.05], [0.30, 0.02, 0.02], [0.5; 3]])
-            }),
-            conditions: conditions.to_vec(),
-        }
-    }
 }
 
 #[cfg(test)]

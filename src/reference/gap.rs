@@ -7,6 +7,7 @@ mod jensen_shannon;
 pub mod lane_risk;
 pub mod moments;
 mod pearson;
+mod shares;
 mod wasserstein;
 
 use std::fmt;
@@ -220,24 +221,6 @@ pub struct Comparison {
     pub gap: f64,
     /// Larger is better; 1 for equal histograms.
     pub similarity: f64,
-}
-
-/// Bin by bin, the shares of their totals that two histograms have.
-///
-/// # Errors
-/// `EmptyHistogram` when one has no count.
-#[allow(clippy::cast_precision_loss)]
-fn shares<'a>(
-    a: &'a [u64],
-    b: &'a [u64],
-) -> Result<impl Iterator<Item = (f64, f64)> + 'a, Undefined> {
-    let (total_a, total_b): (u64, u64) = (a.iter().sum(), b.iter().sum());
-    if total_a == 0 || total_b == 0 {
-        return Err(Undefined::EmptyHistogram);
-    }
-    Ok(a.iter()
-        .zip(b)
-        .map(move |(&a, &b)| (a as f64 / total_a as f64, b as f64 / total_b as f64)))
 }
 
 #[cfg(test)]

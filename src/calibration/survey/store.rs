@@ -16,7 +16,7 @@ use serde::de::DeserializeOwned;
 use sha2::{Digest, Sha256};
 
 use super::{Keep, Survey};
-use crate::calibration::{Drive, LabelledDrive, LabelledMeans};
+use crate::calibration::drive::{Drive, LabelledDrive, LabelledMeans, StoreError, VERSION};
 use crate::features::attention::common_size;
 use crate::features::energies::BlockMeans;
 use crate::files::durable::create_folders;
@@ -25,7 +25,6 @@ use crate::files::whole_file::{WholeFile, unnamed};
 use crate::reference::ModelFingerprint;
 
 const MAGIC: &[u8; 16] = b"gapwatch-survey\n";
-const VERSION: u32 = 1;
 /// Bytes before the content: magic, version, SHA-256 of the content.
 const HEAD: usize = MAGIC.len() + 4 + 32;
 
@@ -47,29 +46,6 @@ pub enum Kept {
     Means,
     /// Frames under every condition, with what the lane model loses there.
     Labelled,
-}
-
-/// A survey that cannot be kept or read.
-#[derive(Debug, thiserror::Error)]
-pub enum StoreError {
-    /// The file or folder cannot be read or written.
-    #[error("{}: {error}", path.display())]
-    File {
-        /// Which.
-        path: PathBuf,
-        /// Why.
-        error: io::Error,
-    },
-    /// The file is none of ours, or not as it was written.
-    #[error("{}: {found}; wanted a survey of {source_name}, version {VERSION}", path.display())]
-    Damaged {
-        /// Which file.
-        path: PathBuf,
-        /// What was found.
-        found: String,
-        /// The drive that it should be of.
-        source_name: String,
-    },
 }
 
 /// What can be kept of a drive.

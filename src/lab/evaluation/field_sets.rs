@@ -13,12 +13,13 @@ use serde::{Deserialize, Serialize};
 
 use super::separation::separation;
 use crate::calibration::survey::Survey;
-use crate::calibration::{PaperBinning, TapHistogram, median};
+use crate::calibration::{PaperBinning, TapHistogram};
 use crate::capture::undefined::Undefined;
 use crate::features::attention::EnergyMap;
 use crate::reference::gap::moments::{self, EnergyNorm, Moments};
 use crate::reference::gap::{Metric, frechet};
 use crate::reference::{Nominal, SPREAD_MIN};
+use crate::statistics::quantile::median;
 
 /// Images a window.
 pub const WINDOWS: [usize; 3] = [1, 5, 10];

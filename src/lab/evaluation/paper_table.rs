@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 
 use super::field_sets::Recordings;
 use crate::calibration::survey::Survey;
-use crate::calibration::{PaperBinning, TapHistogram, counts_of, median};
+use crate::calibration::{PaperBinning, TapHistogram, counts_of};
 use crate::capture::undefined::Undefined;
 use crate::features::attention::EnergyMap;
 use crate::features::histogram::Binning;
@@ -18,6 +18,7 @@ use crate::reference::Nominal;
 use crate::reference::gap::moments::{self, EnergyNorm, Moments, energy_levels};
 use crate::reference::gap::{Divergence, Metric};
 use crate::statistics::bootstrap::{ROUNDS, SplitMix64, percentile_interval};
+use crate::statistics::quantile::median;
 
 /// One reference, metric and tap.
 #[derive(Clone, Debug, Serialize, Deserialize)]

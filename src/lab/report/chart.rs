@@ -2,7 +2,7 @@
 
 use std::fmt::{self, Write};
 
-use super::page::Text;
+use super::text::Text;
 use crate::features::energies::{CELLS, GRID};
 use crate::monitor::profile::{ProfileKind, TapProfile};
 

@@ -5,7 +5,9 @@ use std::fmt::{self, Display, Write};
 use serde::Serialize;
 use sha2::{Digest, Sha256};
 
-use super::{Alarm, Evidence, Report, Shown, chart};
+use super::chart;
+use super::content::{Alarm, Evidence, Report, Shown};
+use super::text::{Escaped, Text};
 use crate::monitor::alarm::AlarmState;
 use crate::record::journal::Entry;
 
@@ -30,35 +32,6 @@ const STATES: [(AlarmState, &str); 6] = [
     (AlarmState::SensorFault, "✕"),
     (AlarmState::Unavailable, "○"),
 ];
-
-/// Text of others, set apart: whatever it holds, it stays text and turns no line around it.
-pub struct Text<'a>(pub &'a str);
-
-impl Display for Text<'_> {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "<bdi>{}</bdi>", Escaped(self.0))
-    }
-}
-
-/// Text of others for attributes and titles.
-struct Escaped<'a>(&'a str);
-
-impl Display for Escaped<'_> {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        for c in self.0.chars() {
-            match c {
-                '&' => f.write_str("&amp;")?,
-                '<' => f.write_str("&lt;")?,
-                '>' => f.write_str("&gt;")?,
-                '"' => f.write_str("&quot;")?,
-                '\'' => f.write_str("&#39;")?,
-                c if c.is_control() => f.write_char('\u{fffd}')?,
-                c => f.write_char(c)?,
-            }
-        }
-        Ok(())
-    }
-}
 
 /// A number with so many decimals, or a dash.
 struct Number(Option<f64>, usize);
@@ -102,11 +75,14 @@ struct Tap<'a> {
     gap: Vec<Option<f64>>,
 }
 
-pub fn page(report: &Report, name: &str) -> String {
-    let mut page = String::new();
-    // Writing to a String cannot fail.
-    let _ = write_page(report, name, &mut page);
-    page
+impl Report {
+    /// The page, for a journal of that name.
+    pub fn page(&self, name: &str) -> String {
+        let mut page = String::new();
+        // Writing to a String cannot fail.
+        let _ = write_page(self, name, &mut page);
+        page
+    }
 }
 
 fn write_page(report: &Report, name: &str, out: &mut String) -> fmt::Result {

@@ -10,8 +10,8 @@ use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant, SystemTime};
 
-use super::Quota;
-use super::reading::{EVENT_FILE, Event};
+use super::event::{EVENT_FILE, Event};
+use super::quota::Quota;
 use crate::capture::clock;
 use crate::files::durable::{create_folders, put_in_place, rename_to_free_name, sync, sync_folder};
 

@@ -4,25 +4,12 @@ use std::fs::File;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
-use serde::{Deserialize, Serialize};
-
-use super::Moment;
+use super::event::{EVENT_FILE, Event};
 use super::folder::Content;
 use crate::files::json_fault::fault;
 
-/// The file of an event that says what the others are.
-pub const EVENT_FILE: &str = "event.json";
 /// Largest file that is read.
 const FILE_MAX: u64 = 16 << 20;
-
-/// One event.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Event {
-    /// Which of the moments began it.
-    pub edge: usize,
-    /// Frames around it in order of time.
-    pub moments: Vec<Moment>,
-}
 
 /// Evidence that cannot be read.
 #[derive(Debug, thiserror::Error)]

@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use serde::de::DeserializeOwned;
 use serde_json::{Map, Value};
 
-use super::{About, VERSION};
+use super::about::{About, VERSION};
 use crate::capture::clock::ClockTime;
 use crate::monitor::alarm::AlarmState;
 

@@ -19,7 +19,9 @@ use mcap::{McapError, WriteOptions, Writer};
 use serde::Serialize;
 use serde_json::Value;
 
-use super::{About, JournalError, Line};
+use super::about::About;
+use super::line::Line;
+use super::writing::JournalError;
 use crate::capture::{Frame, jpeg};
 use crate::files::whole_file::WholeFile;
 use crate::monitor::judge::Verdict;

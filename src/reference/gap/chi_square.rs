@@ -2,7 +2,7 @@
 
 use crate::capture::undefined::Undefined;
 
-use super::shares;
+use super::shares::shares;
 
 /// `chi2 = 1/2 sum (p - q)^2 / (p + q)` over the bins that either fills, of shares `p` and `q`: 0..1, symmetric.
 ///

@@ -2,7 +2,7 @@
 
 use crate::capture::undefined::Undefined;
 
-use super::shares;
+use super::shares::shares;
 
 /// `H = sqrt(1/2 sum (sqrt p - sqrt q)^2)` of shares `p` and `q`: 0..1. This form, not `sqrt(1 - sum sqrt(p q))`, keeps
 /// its digits for histograms that are nearly alike.

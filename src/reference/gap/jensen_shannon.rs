@@ -2,7 +2,7 @@
 
 use crate::capture::undefined::Undefined;
 
-use super::shares;
+use super::shares::shares;
 
 /// `JS = (KL(p | m) + KL(q | m)) / 2` with `m = (p + q) / 2` and logarithms of base 2: 0..1 bit, not its root, no
 /// smoothing (Lin 1991).

@@ -2,7 +2,7 @@
 
 use crate::capture::undefined::Undefined;
 
-use super::shares;
+use super::shares::shares;
 
 /// `W1 = sum |P - Q| / (bins - 1)` of cumulated shares `P` and `Q`: the mean way that a pixel is moved, as a share of the
 /// way from the first bin to the last, 0..1. Bins are taken as evenly spaced, whatever their edges.

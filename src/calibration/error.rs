@@ -1,0 +1,45 @@
+//! Why a calibration cannot be made.
+
+use super::drive::StoreError;
+use crate::capture::undefined::Undefined;
+use crate::reference::gap::Metric;
+
+/// What can be said against the sources of a reference.
+#[derive(Debug, thiserror::Error)]
+pub enum CalibrationError {
+    /// Frames that cannot be judged.
+    #[error("{source_name}: frame {frame} cannot be judged: {why}")]
+    Frame {
+        /// The source.
+        source_name: String,
+        /// The frame's number from 0.
+        frame: usize,
+        /// Why.
+        why: Undefined,
+    },
+    /// Too few frames.
+    #[error("{0}")]
+    TooFew(Undefined),
+    /// A drive that can no longer be read.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+    /// Histograms that cannot be compared.
+    #[error("tap {tap}, metric {metric}: {why}")]
+    Comparison {
+        /// Name of the tap.
+        tap: String,
+        /// The metric asked for.
+        metric: Metric,
+        /// Why.
+        why: Undefined,
+    },
+}
+
+/// Of one tap.
+pub fn wrong(tap: &str, metric: Metric, why: Undefined) -> CalibrationError {
+    CalibrationError::Comparison {
+        tap: tap.to_owned(),
+        metric,
+        why,
+    }
+}

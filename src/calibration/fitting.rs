@@ -1,0 +1,204 @@
+//! Nominal frames to what is nominal: histograms, moments, or the forecast of lost lanes.
+
+use super::binning::{Cut, Masses, PaperBinning, TapHistogram};
+use super::drive::{Drive, LabelledDrive};
+use super::error::{CalibrationError, wrong};
+use super::stretch::{Stretch, look_at_all, sum_over_all};
+use super::windows::Part;
+use crate::capture::undefined::Undefined;
+use crate::reference::gap::Metric;
+use crate::reference::gap::lane_risk::LaneRiskFit;
+use crate::reference::gap::moments::{self, EnergyNorm, Moments};
+use crate::reference::{Component, Nominal, TapReference};
+use crate::statistics::quantile::median;
+
+/// What the nominal values of a domain are made of.
+pub struct Fitting<'a, D> {
+    pub fitted: &'a [Stretch<'a, D>],
+    pub taps: &'a [String],
+    pub metric: Metric,
+}
+
+impl<D: Drive> Fitting<'_, D> {
+    fn wrong(&self, tap: usize, why: Undefined) -> CalibrationError {
+        wrong(&self.taps[tap], self.metric, why)
+    }
+
+    /// By tap, what each stretch has of each frame, in order.
+    fn peaks(
+        &self,
+        of: impl Fn(&Part<'_>, usize) -> Vec<f64> + Sync,
+    ) -> Result<Vec<Vec<f64>>, CalibrationError> {
+        let taps = 0..self.taps.len();
+        let seen = look_at_all(self.fitted, |part| {
+            Ok(taps.clone().map(|tap| of(part, tap)).collect::<Vec<_>>())
+        })?;
+        let of_tap = |tap: usize| seen.iter().flat_map(move |part| part[tap].iter().copied());
+        Ok(taps.map(|tap| of_tap(tap).collect()).collect())
+    }
+
+    /// What is nominal of each tap, by its histogram; the gaps are not scaled yet.
+    pub fn histograms(&self) -> Result<Vec<TapReference>, CalibrationError> {
+        let peaks = self.peaks(|part, tap| {
+            let mut peaks = Vec::with_capacity(part.frames.len());
+            part.common_maps(tap, |map| peaks.push(map.range().1));
+            peaks
+        })?;
+        let cut = |(tap, peaks)| {
+            Cut::of(peaks, self.metric, PaperBinning::PUBLISHED).map_err(|why| self.wrong(tap, why))
+        };
+        let cuts: Vec<Cut> = peaks
+            .into_iter()
+            .enumerate()
+            .map(cut)
+            .collect::<Result<_, _>>()?;
+        let mut masses: Vec<Masses> = cuts.iter().map(Cut::masses).collect();
+        if masses.iter().any(|masses| !masses.grid.is_empty()) {
+            masses = sum_over_all(
+                self.fitted,
+                &masses,
+                |sums, part| {
+                    for (tap, sum) in sums.iter_mut().enumerate() {
+                        part.common_maps(tap, |map| sum.add(map));
+                    }
+                    Ok(())
+                },
+                |sums, others| sums.iter_mut().zip(others).for_each(|(a, b)| a.merge(b)),
+            )?;
+        }
+        let nothing: Vec<TapHistogram> = cuts
+            .iter()
+            .zip(&masses)
+            .map(|(cut, masses)| cut.nothing_counted(masses))
+            .collect();
+        let counted = sum_over_all(
+            self.fitted,
+            &nothing,
+            |sums, part| {
+                for (tap, sum) in sums.iter_mut().enumerate() {
+                    let mut counted = Ok(());
+                    part.common_maps(tap, |map| {
+                        if counted.is_ok() {
+                            counted = sum.add(map);
+                        }
+                    });
+                    counted.map_err(|why| self.wrong(tap, why))?;
+                }
+                Ok(())
+            },
+            |sums, others| {
+                let sums = sums.iter_mut().zip(others);
+                sums.for_each(|(a, b)| a.sum.merge(&b.sum));
+            },
+        )?;
+        let nominal = self
+            .taps
+            .iter()
+            .zip(counted)
+            .map(|(tap, fitted)| TapReference {
+                tap: tap.clone(),
+                median_peak_energy: fitted.median_peak_energy,
+                images: fitted.sum.images,
+                nominal: Nominal::Histogram {
+                    binning: fitted.binning,
+                    counts: fitted.sum.counts,
+                },
+                scale: Vec::new(),
+            });
+        Ok(nominal.collect())
+    }
+
+    /// Median peak energy and moments of each tap; with the epsilon of the simulation when there is one.
+    pub fn moments(
+        &self,
+        simulation: Option<&Component>,
+    ) -> Result<(Vec<f64>, Vec<Moments>), CalibrationError> {
+        let peaks =
+            self.peaks(|part, tap| part.frames.iter().map(|seen| seen.peaks[tap]).collect())?;
+        let medians = peaks
+            .into_iter()
+            .enumerate()
+            .map(|(tap, peaks)| median(peaks).ok_or_else(|| self.wrong(tap, Undefined::NoScore)));
+        let peaks: Vec<f64> = medians.collect::<Result<_, _>>()?;
+        let epsilons: Vec<f64> = peaks
+            .iter()
+            .enumerate()
+            .map(|(tap, peak)| epsilon_of(*peak, tap, simulation))
+            .collect();
+        let nothing = vec![Moments::new(0); self.taps.len()];
+        let moments = sum_over_all(
+            self.fitted,
+            &nothing,
+            |sums, part| {
+                for (tap, (sum, &epsilon)) in sums.iter_mut().zip(&epsilons).enumerate() {
+                    let energies = part
+                        .frames
+                        .iter()
+                        .map(|seen| seen.means[tap].energy.as_slice());
+                    sum.merge(&Moments::of(energies, epsilon));
+                }
+                Ok(())
+            },
+            |sums, others| sums.iter_mut().zip(others).for_each(|(a, b)| a.merge(b)),
+        )?;
+        Ok((peaks, moments))
+    }
+
+    /// What is nominal of each tap, by its energies; the gaps are not scaled yet. `wider` and `simulation` are there for an
+    /// accepted domain.
+    pub fn energies<L: LabelledDrive>(
+        &self,
+        peaks: &[f64],
+        moments: &[Moments],
+        wider: Option<&[Moments]>,
+        simulation: Option<&Component>,
+        labelled: &[L],
+    ) -> Result<Vec<TapReference>, CalibrationError> {
+        let epsilon = |tap: usize| epsilon_of(peaks[tap], tap, simulation);
+        let nominal: Vec<Nominal> = if self.metric == Metric::LaneRisk {
+            let frames = labelled.iter().map(LabelledDrive::frames).sum();
+            let mut fits = (0..self.taps.len())
+                .map(|tap| {
+                    LaneRiskFit::new(epsilon(tap), &moments[tap], frames)
+                        .map_err(|why| self.wrong(tap, why))
+                })
+                .collect::<Result<Vec<_>, _>>()?;
+            for drive in labelled {
+                for frame in drive.means()?.iter() {
+                    for (fit, means) in fits.iter_mut().zip(&frame.means) {
+                        fit.add(&means.energy, frame.loss);
+                    }
+                }
+            }
+            let fitted = fits.into_iter().enumerate().map(|(tap, fit)| {
+                let risk = fit.solve().map_err(|why| self.wrong(tap, why))?;
+                Ok(Nominal::LaneRisk(risk))
+            });
+            fitted.collect::<Result<_, CalibrationError>>()?
+        } else {
+            let norms = (0..self.taps.len()).map(|tap| {
+                let wider = wider.map(|all| (&all[tap], self.fitted.len()));
+                EnergyNorm::fit(epsilon(tap), &moments[tap], wider)
+                    .map(Nominal::Energies)
+                    .map_err(|why| self.wrong(tap, why))
+            });
+            norms.collect::<Result<_, _>>()?
+        };
+        let taps = self.taps.iter().zip(nominal).enumerate();
+        let references = taps.map(|(index, (tap, nominal))| TapReference {
+            tap: tap.clone(),
+            median_peak_energy: peaks[index],
+            images: moments[index].frames(),
+            nominal,
+            scale: Vec::new(),
+        });
+        Ok(references.collect())
+    }
+}
+
+fn epsilon_of(median_peak_energy: f64, tap: usize, simulation: Option<&Component>) -> f64 {
+    match simulation.map(|of| &of.taps[tap].nominal) {
+        Some(Nominal::Energies(norm)) => norm.epsilon,
+        _ => moments::EPSILON_SHARE * median_peak_energy,
+    }
+}

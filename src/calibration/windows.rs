@@ -1,0 +1,194 @@
+//! Frames of a drive through the chain behind the encoder: gaps of windows, and the detector's scores.
+
+use std::ops::Range;
+use std::time::Duration;
+
+use super::error::CalibrationError;
+use super::false_alarms::DriveScores;
+use super::survey::{Survey, SurveyFrame};
+use super::wanted::Wanted;
+use crate::capture::undefined::Undefined;
+use crate::features::attention::{EnergyMap, Upsampler};
+use crate::monitor::alarm::Reason;
+use crate::monitor::detector::Detector;
+use crate::monitor::intake::Intake;
+use crate::reference::gap::Metric;
+use crate::reference::{Component, Nominal};
+
+/// Frames of one drive, all of which can be judged.
+pub struct Part<'a> {
+    survey: &'a Survey,
+    /// Number of the first frame in the drive.
+    first: usize,
+    pub frames: Vec<&'a SurveyFrame>,
+}
+
+impl<'a> Part<'a> {
+    pub fn of(survey: &'a Survey, range: Range<usize>) -> Result<Self, CalibrationError> {
+        let first = range.start;
+        let frames = survey.frames[range]
+            .iter()
+            .enumerate()
+            .map(|(index, frame)| {
+                frame.as_ref().map_err(|why| CalibrationError::Frame {
+                    source_name: survey.source.clone(),
+                    frame: first + index,
+                    why: why.clone(),
+                })
+            });
+        Ok(Self {
+            survey,
+            first,
+            frames: frames.collect::<Result<_, _>>()?,
+        })
+    }
+
+    fn wrong(&self, index: usize, why: Undefined) -> CalibrationError {
+        CalibrationError::Frame {
+            source_name: self.survey.source.clone(),
+            frame: self.first + index,
+            why,
+        }
+    }
+
+    /// The maps of one tap at the common size, frame by frame.
+    pub fn common_maps(&self, tap: usize, mut each: impl FnMut(&EnergyMap)) {
+        let mut upsampler = None;
+        let mut common = EnergyMap::default();
+        for frame in &self.frames {
+            let map = &frame.maps[tap];
+            let size = (map.width, map.height);
+            let upsampler =
+                upsampler.get_or_insert_with(|| Upsampler::new(size, self.survey.common_size));
+            upsampler.resample(map, &mut common);
+            each(&common);
+        }
+    }
+
+    /// What the domains take of each frame.
+    pub fn track(
+        &self,
+        metric: Metric,
+        components: &[Component],
+    ) -> Result<Track, CalibrationError> {
+        let width = Component::taken_len(components);
+        let mut intake = Intake::new(metric, components[0].taps.len(), self.survey.common_size);
+        let mut taken = vec![0; width * self.frames.len()];
+        let rows = taken.chunks_exact_mut(width.max(1));
+        for (index, (frame, row)) in self.frames.iter().zip(rows).enumerate() {
+            intake
+                .take(&frame.maps, &frame.means, components, row)
+                .map_err(|why| self.wrong(index, why))?;
+        }
+        Ok(Track {
+            at: self.survey.times[self.first..][..self.frames.len()].to_vec(),
+            width,
+            taken,
+        })
+    }
+
+    /// The drive through the detector from its reset: the score of each frame.
+    pub fn scores(
+        &self,
+        wanted: Wanted,
+        components: &[Component],
+    ) -> Result<DriveScores, CalibrationError> {
+        let track = self.track(wanted.metric, components)?;
+        let mut detector = Detector::of(wanted.metric, components.to_vec(), wanted.window_s);
+        let mut drive = DriveScores::default();
+        for (index, (&at, taken)) in track.at.iter().zip(track.rows(0..track.len())).enumerate() {
+            let evidence = detector
+                .observe(at, taken)
+                .map_err(|why| self.wrong(index, why))?;
+            drive.add(at, evidence.score, evidence.fill >= 1.0);
+        }
+        Ok(drive)
+    }
+}
+
+/// A survey through the detector from its reset: the score of each frame, or why it has none.
+pub fn drive_scores(
+    survey: &Survey,
+    metric: Metric,
+    window_s: f64,
+    components: &[Component],
+) -> DriveScores {
+    let mut intake = Intake::new(metric, components[0].taps.len(), survey.common_size);
+    let mut detector = Detector::of(metric, components.to_vec(), window_s);
+    let mut taken = vec![0; detector.taken_len()];
+    let mut drive = DriveScores::default();
+    for (&at, frame) in survey.times.iter().zip(&survey.frames) {
+        let evidence = frame.as_ref().map_err(Undefined::clone).and_then(|frame| {
+            intake.take(&frame.maps, &frame.means, components, &mut taken)?;
+            detector.observe(at, &taken)
+        });
+        match evidence {
+            Ok(evidence) => drive.add(at, evidence.score, evidence.fill >= 1.0),
+            Err(why) => drive.add_unjudged(at, Reason::from(&why)),
+        }
+    }
+    drive
+}
+
+/// What was taken of the frames of a drive.
+pub struct Track {
+    at: Vec<Duration>,
+    /// Numbers taken of a frame.
+    width: usize,
+    /// `[frames, width]`
+    taken: Vec<u32>,
+}
+
+impl Track {
+    fn len(&self) -> usize {
+        self.at.len()
+    }
+
+    fn rows(&self, frames: Range<usize>) -> impl Iterator<Item = &[u32]> {
+        self.taken[frames.start * self.width..frames.end * self.width]
+            .chunks_exact(self.width.max(1))
+    }
+
+    /// Windows one after the other, each the frames within `window_s` of its first.
+    fn windows(&self, window_s: f64) -> impl Iterator<Item = Range<usize>> {
+        let mut next = 0;
+        std::iter::from_fn(move || {
+            let from = next;
+            let first = *self.at.get(from)?;
+            let within = |at: &Duration| at.saturating_sub(first).as_secs_f64() < window_s;
+            next = from
+                + self.at[from..]
+                    .iter()
+                    .take_while(|at| within(at))
+                    .count()
+                    .max(1);
+            Some(from..next)
+        })
+    }
+
+    /// Gaps of the windows of which `frames` frames are taken, evenly spread.
+    pub fn gaps(
+        &self,
+        columns: Range<usize>,
+        frames: usize,
+        nominal: &Nominal,
+        wanted: Wanted,
+    ) -> Result<Vec<f64>, Undefined> {
+        let mut gaps = Vec::new();
+        for window in self.windows(wanted.window_s) {
+            if window.len() < frames {
+                continue;
+            }
+            let rows: Vec<&[u32]> = self.rows(window).collect();
+            let mut sums = vec![0_u64; columns.len()];
+            for index in 0..frames {
+                let row = &rows[index * rows.len() / frames][columns.clone()];
+                sums.iter_mut()
+                    .zip(row)
+                    .for_each(|(sum, &value)| *sum += u64::from(value));
+            }
+            gaps.push(nominal.compare(wanted.metric, &sums, frames)?.gap);
+        }
+        Ok(gaps)
+    }
+}
