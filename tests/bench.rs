@@ -1,9 +1,7 @@
 //! `gapwatch bench`: its keys and what must hold among them on any machine.
 #![allow(clippy::unwrap_used)]
 
-mod program;
-
-use program::gapwatch_in;
+use crate::program::gapwatch_in;
 
 #[test]
 fn bench_runs_the_encoder_in_tract_when_told() {

@@ -1,12 +1,10 @@
 //! Each command in an empty folder: output, files, exit code, and how wrong use is met.
 #![allow(clippy::unwrap_used)]
 
-mod program;
-
 use std::fs;
 use std::path::Path;
 
-use program::{assert_expected, files, gapwatch_in, gapwatch_threads};
+use crate::program::{assert_expected, files, gapwatch_in, gapwatch_threads};
 
 fn empty() -> tempfile::TempDir {
     tempfile::tempdir().unwrap()

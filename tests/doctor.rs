@@ -1,12 +1,10 @@
 //! `gapwatch doctor`: what it passes, what it fails with what to do, and its exit code.
 #![allow(clippy::unwrap_used)]
 
-mod program;
-
 use std::fs;
 use std::path::Path;
 
-use program::{Ran, gapwatch_in};
+use crate::program::{Ran, gapwatch_in};
 use serde_json::{Value, json};
 
 const DESK: &str = "[camera]\nsource = \"scene:sim?seed=7&seconds=3\"\n[can]\nsink = \"log:can.log\"\n[monitor]\nstrict = true\n\

@@ -1,12 +1,10 @@
 //! `gapwatch evaluate`: its results file, what is made from it, and the keys on image sets of other roads.
 #![allow(clippy::unwrap_used)]
 
-mod program;
-
 use std::fs;
 use std::path::Path;
 
-use program::gapwatch_in;
+use crate::program::gapwatch_in;
 use serde_json::Value;
 
 fn read(path: &Path) -> Value {

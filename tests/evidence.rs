@@ -1,14 +1,12 @@
 //! Evidence on disk: what a drive leaves, what a killed program leaves, what is refused.
 #![allow(clippy::unwrap_used)]
 
-mod program;
-
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
-use program::{SmallDisk, files, gapwatch_in, verdict_lines, whole_events};
+use crate::program::{SmallDisk, files, gapwatch_in, verdict_lines, whole_events};
 
 /// Noise that comes and goes: an alarm every 4 s.
 fn flicker(seconds: u32) -> String {

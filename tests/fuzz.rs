@@ -2,7 +2,7 @@
 //!
 //! Each test takes what is whole (shipped files, what the program writes itself), damages it and reads it, for a few seconds.
 //!
-//! `GAPWATCH_FUZZ_SECONDS=600 GAPWATCH_FUZZ_SEED=7 cargo test --release --all-features --test fuzz -- --nocapture --test-threads=2`
+//! `GAPWATCH_FUZZ_SECONDS=600 GAPWATCH_FUZZ_SEED=7 cargo test --release --all-features --test suite fuzz:: -- --nocapture --test-threads=2`
 //! looks longer, and elsewhere. Input that makes a panic is kept in `target/tmp/fuzz`. `tests/fuzz/run` looks at the same with
 //! libFuzzer, which sees what code was reached.
 #![allow(clippy::unwrap_used, clippy::print_stdout)]

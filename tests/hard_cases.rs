@@ -1,13 +1,11 @@
 //! Pictures and files that nothing can be said about are answered with a reason, never with a NaN.
 #![allow(clippy::unwrap_used)]
 
-mod program;
-
 use std::fs;
 use std::path::Path;
 
+use crate::program::{gapwatch_in, journal_of};
 use image::{Rgb, RgbImage};
-use program::{gapwatch_in, journal_of};
 use serde_json::Value;
 
 const SCENES: &str = "scene:sim?seed=1..3&seconds=2&fps=2";

@@ -1,14 +1,12 @@
 //! Surveys on disk: a reference merged of shards is that of one run, bit for bit, and what was seen is not looked at again.
 #![allow(clippy::unwrap_used)]
 
-mod program;
-
 use std::fs;
 use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant, SystemTime};
 
-use program::{Ran, gapwatch_in, gapwatch_threads};
+use crate::program::{Ran, gapwatch_in, gapwatch_threads};
 use serde_json::Value;
 
 fn empty() -> tempfile::TempDir {

@@ -5,18 +5,16 @@
     clippy::cast_precision_loss
 )]
 
-mod program;
-
 use std::fs;
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
-use gapwatch::alarm::{AlarmState, Reason};
-use gapwatch::board::Board;
+use crate::program::whole_events;
 use gapwatch::can::e2e::{E2eReceiver, Sequence};
 use gapwatch::can::message::GapStatus;
-use program::whole_events;
+use gapwatch::live::board::Board;
+use gapwatch::monitor::alarm::{AlarmState, Reason};
 
 /// Longest time between two status frames: the cycle of 100 ms, and what a busy computer may take.
 const LATE: f64 = 0.35;
@@ -128,7 +126,7 @@ fn a_clear_road_is_looked_at_slowly_and_anything_else_at_full_rate() {
         .wait_with_output()
         .unwrap();
     assert!(done.status.success(), "{done:?}");
-    let read = gapwatch::journal::read(&folder.path().join("drive.jsonl")).unwrap();
+    let read = gapwatch::record::journal::read(&folder.path().join("drive.jsonl")).unwrap();
     let seen: Vec<(f64, f64)> = (read.entries.iter())
         .filter_map(|entry| Some((entry.t_s, entry.sequence.and(entry.score)?)))
         .collect();
@@ -204,7 +202,7 @@ fn a_hang_up_ends_it_in_order_and_a_killed_one_leaves_every_line_that_was_writte
         let mut child = monitor(folder.path(), &board, &args);
         // It begins files of its own.
         let until = Instant::now() + Duration::from_secs(60);
-        while program::names(folder.path()).len() < files {
+        while crate::program::names(folder.path()).len() < files {
             assert!(Instant::now() < until, "no files");
             std::thread::sleep(Duration::from_millis(10));
         }
@@ -212,7 +210,7 @@ fn a_hang_up_ends_it_in_order_and_a_killed_one_leaves_every_line_that_was_writte
         wait_for_lines(&folder.path().join("can.log"), 12);
         signal(&child, name);
         let ended = child.wait().unwrap();
-        let read = gapwatch::journal::read(&path).unwrap();
+        let read = gapwatch::record::journal::read(&path).unwrap();
         assert!(read.entries.len() >= 11);
         (ended, read)
     };
@@ -225,9 +223,9 @@ fn a_hang_up_ends_it_in_order_and_a_killed_one_leaves_every_line_that_was_writte
     assert_ne!(read.entries.last().unwrap().reason, "stopped");
     assert!(status_frames(folder.path()).len() >= 10);
     // The run before is kept beside it, and nothing else is left.
-    let before = gapwatch::journal::read(&folder.path().join("drive.jsonl.1")).unwrap();
+    let before = gapwatch::record::journal::read(&folder.path().join("drive.jsonl.1")).unwrap();
     assert_eq!(before.entries.last().unwrap().reason, "stopped");
-    let left = program::names(folder.path());
+    let left = crate::program::names(folder.path());
     let wanted = [
         "board.toml",
         "can.log",
@@ -253,11 +251,11 @@ fn the_time_of_the_journal_never_runs_backwards_however_often_the_program_is_sto
     wait_for_lines(&path, 56);
     signal(&child, "TERM");
     assert!(child.wait().unwrap().success());
-    let read = gapwatch::journal::read(&path).unwrap();
+    let read = gapwatch::record::journal::read(&path).unwrap();
     let unjudged = read.entries.iter().filter(|entry| entry.score.is_none());
     assert!(unjudged.count() >= 4, "no stop was noticed");
     let report = ["report", "drive.jsonl", "--out", "r.html"];
-    program::gapwatch_in(folder.path(), &report).ok();
+    crate::program::gapwatch_in(folder.path(), &report).ok();
 }
 
 #[test]
@@ -266,7 +264,7 @@ fn root_a_full_disk_under_the_log_costs_the_journal_nothing() {
     let folder = tempfile::tempdir().unwrap();
     let small = folder.path().join("small");
     fs::create_dir(&small).unwrap();
-    let disk = program::SmallDisk::mount(&small, "4k");
+    let disk = crate::program::SmallDisk::mount(&small, "4k");
     let board =
         board("scene:sim?seed=7&seconds=60&size=160x80").replace("can.log", "small/can.log");
     let mut child = monitor(folder.path(), &board, &["--journal", "drive.jsonl"]);
@@ -284,7 +282,7 @@ fn root_a_full_disk_under_the_log_costs_the_journal_nothing() {
     );
     assert!(log.lines().all(|line| line.len() >= 40));
     drop(disk);
-    let read = gapwatch::journal::read(&folder.path().join("drive.jsonl")).unwrap();
+    let read = gapwatch::record::journal::read(&folder.path().join("drive.jsonl")).unwrap();
     assert!(read.entries.len() >= 119 && !read.breaks_off);
     assert_eq!(read.entries.last().unwrap().reason, "stopped");
 }
@@ -341,7 +339,7 @@ fn a_board_keeps_evidence_beside_it_also_when_it_is_killed() {
     assert!(!run(none, &[]).contains("evidence"));
     assert_eq!(whole_events(&seen).len(), 2);
     let report = ["report", "j", "--evidence", "seen", "--out", "r.html"];
-    program::gapwatch_in(folder.path(), &report).ok();
+    crate::program::gapwatch_in(folder.path(), &report).ok();
     let page = fs::read_to_string(folder.path().join("r.html")).unwrap();
     assert!(page.contains("image/jpeg;") && page.contains("class=\"regions\""));
 }

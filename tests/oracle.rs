@@ -1,5 +1,5 @@
 //! Everything after the encoder against plain formulas written down once more, on cases that are hard for floating point.
-//! Prints a table: `cargo test --release --test oracle -- --nocapture`.
+//! Prints a table: `cargo test --release --test suite oracle:: -- --nocapture`.
 #![allow(
     clippy::unwrap_used,
     clippy::cast_precision_loss,
@@ -10,15 +10,15 @@
 
 use std::time::Duration;
 
-use gapwatch::attention::{EnergyMap, Upsampler, energy_from_features};
-use gapwatch::encoder::{Encoder, FeatureMap};
-use gapwatch::frame::{Frame, open};
-use gapwatch::gap::Divergence;
-use gapwatch::histogram::{Binning, HistogramSum};
+use gapwatch::capture::undefined::Undefined;
+use gapwatch::capture::{Frame, open};
+use gapwatch::features::attention::{EnergyMap, Upsampler, energy_from_features};
+use gapwatch::features::histogram::{Binning, HistogramSum};
+use gapwatch::model::encoder::{Encoder, FeatureMap};
 use gapwatch::model::{ModelOptions, ModelSpec};
-use gapwatch::pipeline::Monitor;
+use gapwatch::monitor::pipeline::Monitor;
 use gapwatch::reference::Reference;
-use gapwatch::undefined::Undefined;
+use gapwatch::reference::gap::Divergence;
 
 /// Common size of the maps, width and height.
 const COMMON: (usize, usize) = (80, 40);

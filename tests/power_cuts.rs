@@ -5,17 +5,14 @@
 #![cfg(feature = "can")]
 #![allow(clippy::unwrap_used)]
 
-mod machine;
-mod program;
-
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;
 use std::fs;
 use std::path::Path;
 
-use gapwatch::journal;
-use machine::{machine, report, stage_program};
-use program::gapwatch_in;
+use crate::machine::{machine, report, stage_program};
+use crate::program::gapwatch_in;
+use gapwatch::record::journal;
 
 /// Another one with `GAPWATCH_VM_POWER_CUT_SEED`.
 const SEED: u32 = 20_262;

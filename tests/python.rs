@@ -2,12 +2,10 @@
 //! OpenCV of the numbers, `ffmpeg` of the videos. `tests/run` installs them.
 #![allow(clippy::unwrap_used)]
 
-mod program;
-
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use program::{Ran, gapwatch_in, ran, verdict_lines};
+use crate::program::{Ran, gapwatch_in, ran, verdict_lines};
 
 const PROGRAM: &str = env!("CARGO_BIN_EXE_gapwatch");
 const ROOT: &str = env!("CARGO_MANIFEST_DIR");

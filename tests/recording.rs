@@ -1,17 +1,15 @@
 //! MCAP recordings as sources and as journals: round trip, choice of the topic, damaged files.
 #![allow(clippy::unwrap_used, clippy::cast_possible_truncation)]
 
-mod program;
-
 use std::collections::BTreeMap;
 use std::fs;
 use std::io::Cursor;
 use std::path::Path;
 
-use gapwatch::frame::{Frame, SourceError, open};
+use crate::program::{files, gapwatch_in, journal_of};
+use gapwatch::capture::{Frame, SourceError, open};
 use mcap::records::MessageHeader;
 use mcap::{Compression, WriteOptions};
-use program::{files, gapwatch_in, journal_of};
 use serde_json::{Value, json};
 
 /// A message of `foxglove.CompressedImage` in JSON: a picture of 64x32, another for each number.

@@ -5,9 +5,7 @@
     clippy::cast_possible_truncation
 )]
 
-mod program;
-
-use program::{assert_expected, gapwatch_in, journal_of, names};
+use crate::program::{assert_expected, gapwatch_in, journal_of, names};
 use serde_json::Value;
 use std::fs;
 use std::io::Read;
@@ -241,7 +239,7 @@ fn a_signal_ends_a_replay_in_order_and_a_second_one_at_once() {
         let said = String::from_utf8(done.stderr).unwrap();
         assert_eq!(done.status.code(), Some(2), "{said}");
         assert!(said.contains("stopped by a signal after "), "{said}");
-        let read = gapwatch::journal::read(&folder.path().join("j")).unwrap();
+        let read = gapwatch::record::journal::read(&folder.path().join("j")).unwrap();
         assert!(!read.breaks_off);
         let frames = read.entries.len();
         let again = ["replay", "m.mcap", "--journal", "k"];

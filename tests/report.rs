@@ -1,13 +1,11 @@
 //! Reports: from a journal to a page, what is refused, and what a browser makes of it.
 #![allow(clippy::unwrap_used)]
 
-mod program;
-
 use std::fs;
 use std::path::Path;
 use std::process::Command;
 
-use program::{Ran, files, gapwatch_in, ran};
+use crate::program::{Ran, files, gapwatch_in, ran};
 
 const HOSTILE: &str = r#"</script><script>window.hacked=1</script>'\"><img src=x onerror='window.hacked=2'>\u202eäöü 路"#;
 

@@ -1,8 +1,6 @@
 //! `gapwatch monitor` under a service manager: what it says on its socket, and what its log lines look like there.
 #![allow(clippy::unwrap_used)]
 
-mod program;
-
 use std::fs::{self, File};
 use std::os::unix::fs::MetadataExt;
 use std::os::unix::net::UnixDatagram;

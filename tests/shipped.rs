@@ -1,16 +1,14 @@
 //! What is shipped in `calibration/` belongs together and can be made again.
 #![allow(clippy::unwrap_used)]
 
-mod program;
-
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use gapwatch::encoder::Encoder;
-use gapwatch::evaluation::{Setting, lane_iou};
+use crate::program::gapwatch_in;
+use gapwatch::lab::evaluation::{Setting, lane_iou};
+use gapwatch::lab::scene::World;
+use gapwatch::model::encoder::Encoder;
 use gapwatch::model::{ModelOptions, ModelSpec};
-use gapwatch::scene::World;
-use program::gapwatch_in;
 use serde_json::Value;
 use sha2::{Digest, Sha256};
 

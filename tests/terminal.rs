@@ -1,12 +1,10 @@
 //! What people see on a terminal: a live line, progress, and nothing of either where there is none.
 #![allow(clippy::unwrap_used)]
 
-mod program;
-
 use std::path::Path;
 use std::process::Command;
 
-use program::{Ran, ran};
+use crate::program::{Ran, ran};
 
 #[test]
 #[ignore = "needs the Python packages of tests/requirements.txt: run tests/run"]

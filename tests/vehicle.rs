@@ -6,19 +6,16 @@
 #![cfg(feature = "can")]
 #![allow(clippy::unwrap_used, clippy::print_stdout)]
 
-mod clips;
-mod program;
-
 use std::collections::BTreeSet;
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
-use clips::{clip, pictures};
-use gapwatch::alarm::{AlarmState, Reason};
+use crate::clips::{clip, pictures};
+use crate::program::gapwatch_in;
 use gapwatch::can::e2e::{E2eReceiver, Sequence};
 use gapwatch::can::message::GapStatus;
-use program::gapwatch_in;
+use gapwatch::monitor::alarm::{AlarmState, Reason};
 use serde_json::Value;
 
 const ROOT: &str = env!("CARGO_MANIFEST_DIR");

@@ -10,31 +10,27 @@
     clippy::cast_sign_loss
 )]
 
-mod clips;
-mod machine;
-mod program;
-
 use std::fmt::Write as _;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::Duration;
 
-use clips::{clip, lane_model, pictures, yuyv};
-use gapwatch::alarm::{AlarmState, Reason};
+use crate::clips::{clip, lane_model, pictures, yuyv};
+use crate::machine::{report, stage_program};
+use crate::program::gapwatch_in;
 use gapwatch::can::BusState;
 use gapwatch::can::e2e::{E2eReceiver, E2eSender, Sequence};
 use gapwatch::can::message::{ClearRequest, GapHealth, GapStatus};
-use gapwatch::encoder::Encoder;
-use gapwatch::frame::pixels::{Layout, PixelFormat, Pixels};
-use gapwatch::frame::{Frame, Picture};
-use gapwatch::journal::{self, Entry};
-use gapwatch::judge::Verdict;
+use gapwatch::capture::pixels::{Layout, PixelFormat, Pixels};
+use gapwatch::capture::{Frame, Picture};
+use gapwatch::model::encoder::Encoder;
 use gapwatch::model::{ModelOptions, ModelSpec};
-use gapwatch::pipeline::Monitor;
+use gapwatch::monitor::alarm::{AlarmState, Reason};
+use gapwatch::monitor::judge::Verdict;
+use gapwatch::monitor::pipeline::Monitor;
+use gapwatch::record::journal::{self, Entry};
 use gapwatch::reference::Reference;
-use machine::{report, stage_program};
-use program::gapwatch_in;
 
 const ROOT: &str = env!("CARGO_MANIFEST_DIR");
 /// Fog of 60 m visibility between 5 and 9 s.
@@ -48,7 +44,7 @@ const SAME: f64 = 1e-5;
 
 /// The folder that the machine shared, with what it left there.
 fn machine() -> PathBuf {
-    machine::machine("vm", stage)
+    crate::machine::machine("vm", stage)
 }
 
 /// Puts the program, its libraries, the lane model with a reference, boards and clips where the machine finds them.

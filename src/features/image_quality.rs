@@ -172,7 +172,9 @@ mod tests {
     }
 
     #[test]
+    #[cfg(feature = "lab")]
     fn night_is_dark_fog_is_flat_blur_is_soft_and_a_low_sun_clips() {
+        crate::lab::register();
         let of = of(320, 160);
         let mean = |condition: &str| {
             let drive = format!("scene:sim?seed=5&seconds=2&fps=5{condition}");

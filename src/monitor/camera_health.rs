@@ -500,7 +500,9 @@ mod tests {
     }
 
     #[test]
+    #[cfg(feature = "lab")]
     fn weather_light_and_dirt_up_to_severity_4_are_no_fault() {
+        crate::lab::register();
         for kind in [
             "night", "fog", "rain", "glare", "blur", "dirt", "snow", "tunnel", "noise",
         ] {

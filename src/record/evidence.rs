@@ -23,4 +23,6 @@ pub use event::{Event, Moment};
 pub use folder::{Found, examine};
 pub use quota::Quota;
 pub use reading::{ReadError, picture, read};
+#[cfg(test)]
+pub(crate) use recorder::Message;
 pub use recorder::{Kept, Recorder};

@@ -9,7 +9,7 @@
 use std::fs;
 use std::path::Path;
 
-use gapwatch::frame::{Picture, open};
+use gapwatch::capture::{Picture, open};
 
 use crate::program::gapwatch_in;
 

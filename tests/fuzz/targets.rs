@@ -6,25 +6,25 @@ use std::panic::{Location, PanicHookInfo, catch_unwind};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use gapwatch::board::Board;
+use gapwatch::calibration::shard::Shard;
+use gapwatch::calibration::survey::store::{Kept, SurveyStore};
+use gapwatch::calibration::survey::{Keep, Survey};
 use gapwatch::can::e2e::{E2eReceiver, E2eSender};
 use gapwatch::can::message::{ClearRequest, GapHealth, GapStatus};
 use gapwatch::can::receiver::{Heard, Receiver};
 use gapwatch::can::speed::SpeedSignal;
 use gapwatch::can::{CanFrame, CanSettings};
-use gapwatch::encoder::Encoder;
-use gapwatch::frame::open;
-use gapwatch::frame::pixels::{Layout, PixelFormat};
-use gapwatch::journal;
+use gapwatch::capture::open;
+use gapwatch::capture::pixels::{Layout, PixelFormat};
+use gapwatch::live::board::Board;
+use gapwatch::model::encoder::Encoder;
+use gapwatch::model::preprocess::{CROP_NOTHING, Preprocessing};
 use gapwatch::model::{ModelOptions, ModelSpec};
-use gapwatch::preprocess::{CROP_NOTHING, Preprocessing};
+use gapwatch::record::journal;
 use gapwatch::reference::{ModelFingerprint, Reference};
-use gapwatch::shard::Shard;
-use gapwatch::survey::store::{Kept, SurveyStore};
-use gapwatch::survey::{Keep, Survey};
 use sha2::{Digest, Sha256};
 
-use crate::ROOT;
+use super::ROOT;
 
 /// Something that reads bytes from outside.
 pub struct Target {
@@ -310,7 +310,7 @@ fn source_names() -> Target {
             let name = String::from_utf8_lossy(input).replace('\0', "0");
             // Only what is rendered: other names may be devices.
             let rendered = name.starts_with("scene:") || name.starts_with("random:");
-            let drives = gapwatch::frame::drives(&name).map(|drives| drives.len());
+            let drives = gapwatch::capture::drives(&name).map(|drives| drives.len());
             rendered && drives.is_ok() && open(&name).is_ok()
         }),
     }
@@ -525,7 +525,7 @@ fn onnx() -> Target {
     // What tract panics on is an error, not news.
     let loud = std::panic::take_hook();
     std::panic::set_hook(Box::new(move |panic| {
-        if !gapwatch::encoder::in_tract() {
+        if !gapwatch::model::encoder::in_tract() {
             loud(panic);
         }
     }));

@@ -348,11 +348,13 @@ fn compressed(message: Message, taps: &[String]) -> image::ImageResult<Held> {
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
+    use super::super::reading::read;
     use super::*;
     use crate::capture::Picture;
     use crate::features::attention::EnergyMap;
     use crate::monitor::alarm::Reason;
     use crate::monitor::profile::ProfileKind;
+    use crate::monitor::profile::TapProfile;
     use std::fs;
 
     fn picture() -> Picture {

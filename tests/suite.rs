@@ -1,0 +1,26 @@
+//! Checks of the program and the library from outside, in one binary: each binary links everything.
+
+mod clips;
+mod machine;
+mod program;
+
+mod bench;
+mod cli;
+mod doctor;
+mod evaluate;
+mod evidence;
+mod fuzz;
+mod hard_cases;
+mod merge;
+mod monitor;
+mod oracle;
+mod power_cuts;
+mod python;
+mod recording;
+mod replay;
+mod report;
+mod service;
+mod shipped;
+mod terminal;
+mod vehicle;
+mod vm;
