@@ -441,6 +441,7 @@ fn verdicts_have_the_same_bits_on_one_thread_and_on_four() {
     let drive = "scene:sim?seed=7&seconds=2&fps=5&condition=fog:4@0-2";
     let verdicts = || {
         let mut monitor = Monitor::new(&encoder, &reference).unwrap();
+        gapwatch::lab::register();
         let mut source = open(drive).unwrap();
         let mut bits = Vec::new();
         while let Some(frame) = source.next_frame().unwrap() {

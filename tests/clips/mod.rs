@@ -38,6 +38,7 @@ pub fn lane_model(folder: &Path) {
 
 /// All pictures of a drive.
 pub fn pictures(name: &str) -> Vec<Picture> {
+    gapwatch::lab::register();
     let mut source = open(name).unwrap();
     let next = || {
         source

@@ -311,6 +311,7 @@ fn source_names() -> Target {
             // Only what is rendered: other names may be devices.
             let rendered = name.starts_with("scene:") || name.starts_with("random:");
             let drives = gapwatch::capture::drives(&name).map(|drives| drives.len());
+            gapwatch::lab::register();
             rendered && drives.is_ok() && open(&name).is_ok()
         }),
     }
