@@ -1,25 +1,34 @@
 //! One short file a command: wires a source, the chain and a sink.
 
 pub mod args;
+#[cfg(feature = "lab")]
 mod bench;
 mod calibrate;
+#[cfg(feature = "lab")]
 mod compare;
 pub mod counting;
-mod cpu_time;
 mod doctor;
+#[cfg(feature = "lab")]
 mod evaluate;
+#[cfg(feature = "lab")]
 mod inspect;
 mod live;
 pub mod logging;
 mod merge;
 mod monitor;
+#[cfg(feature = "lab")]
 mod new_folder;
 mod package_files;
+#[cfg(feature = "lab")]
 mod pictures;
 mod progress;
+#[cfg(feature = "lab")]
+mod quick_reference;
 mod recipe;
 mod replay;
+#[cfg(feature = "lab")]
 mod report;
+#[cfg(feature = "lab")]
 mod scene;
 mod service;
 mod signals;
@@ -47,11 +56,17 @@ pub fn run(command: Command, out: &mut dyn Write) -> anyhow::Result<u8> {
         Command::Monitor(args) => monitor::run(&args, out),
         Command::Calibrate(args) => calibrate::run(&args, out),
         Command::Merge(args) => merge::run(&args, out),
+        #[cfg(feature = "lab")]
         Command::Compare(args) => compare::run(&args, out),
+        #[cfg(feature = "lab")]
         Command::Scene(args) => scene::run(&args, out),
+        #[cfg(feature = "lab")]
         Command::Inspect(args) => inspect::run(&args, out),
+        #[cfg(feature = "lab")]
         Command::Evaluate(args) => evaluate::run(&args, out),
+        #[cfg(feature = "lab")]
         Command::Report(args) => report::run(&args, out),
+        #[cfg(feature = "lab")]
         Command::Bench(args) => bench::run(&args, out),
         Command::Doctor(args) => doctor::run(&args, out),
         Command::PackageFiles(args) => package_files::run(&args, out),

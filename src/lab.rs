@@ -2,6 +2,7 @@
 
 pub mod scene;
 
+pub mod camera_buffers;
 pub mod labelled;
 
 pub mod comparison;

@@ -13,6 +13,7 @@
 pub mod board;
 
 pub mod bus;
+pub mod cost;
 pub mod judging;
 pub mod outputs;
 pub mod service;

@@ -15,6 +15,7 @@ static ALLOCATOR: cli::counting::Counting = cli::counting::Counting;
 const COULD_NOT: u8 = 2;
 
 fn main() -> ExitCode {
+    #[cfg(feature = "lab")]
     gapwatch::lab::register();
     cli::logging::begin();
     std::panic::set_hook(Box::new(|panic| {

@@ -7,6 +7,7 @@ pub mod profile;
 
 pub mod continuity;
 pub mod detector;
+pub mod scorer;
 
 pub mod alarm;
 pub mod health;

@@ -94,7 +94,9 @@ impl Survey {
                 return Err(SurveyError::Picture(error.to_string()));
             }
             times.push(frame.captured_at);
-            let judged = stage.energies(&frame).map(|_| ());
+            let judged = frame
+                .pixels()
+                .and_then(|pixels| stage.energies_of(pixels).map(|_| ()));
             frames.push(judged.map(|()| SurveyFrame::of(&stage, keep)));
             seen();
         }

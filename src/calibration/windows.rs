@@ -10,8 +10,8 @@ use super::wanted::Wanted;
 use crate::capture::undefined::Undefined;
 use crate::features::attention::{EnergyMap, Upsampler};
 use crate::monitor::alarm::Reason;
-use crate::monitor::detector::Detector;
 use crate::monitor::intake::Intake;
+use crate::monitor::scorer::Scorer;
 use crate::reference::gap::Metric;
 use crate::reference::{Component, Nominal};
 
@@ -93,12 +93,18 @@ impl<'a> Part<'a> {
         wanted: Wanted,
         components: &[Component],
     ) -> Result<DriveScores, CalibrationError> {
-        let track = self.track(wanted.metric, components)?;
-        let mut detector = Detector::of(wanted.metric, components.to_vec(), wanted.window_s);
+        let common_size = self.survey.common_size;
+        let mut scorer = Scorer::of(
+            wanted.metric,
+            components.to_vec(),
+            wanted.window_s,
+            common_size,
+        );
+        let times = &self.survey.times[self.first..];
         let mut drive = DriveScores::default();
-        for (index, (&at, taken)) in track.at.iter().zip(track.rows(0..track.len())).enumerate() {
-            let evidence = detector
-                .observe(at, taken)
+        for (index, (&at, frame)) in times.iter().zip(&self.frames).enumerate() {
+            let evidence = scorer
+                .observe(at, &frame.maps, &frame.means)
                 .map_err(|why| self.wrong(index, why))?;
             drive.add(at, evidence.score, evidence.fill >= 1.0);
         }
@@ -113,15 +119,13 @@ pub fn drive_scores(
     window_s: f64,
     components: &[Component],
 ) -> DriveScores {
-    let mut intake = Intake::new(metric, components[0].taps.len(), survey.common_size);
-    let mut detector = Detector::of(metric, components.to_vec(), window_s);
-    let mut taken = vec![0; detector.taken_len()];
+    let mut scorer = Scorer::of(metric, components.to_vec(), window_s, survey.common_size);
     let mut drive = DriveScores::default();
     for (&at, frame) in survey.times.iter().zip(&survey.frames) {
-        let evidence = frame.as_ref().map_err(Undefined::clone).and_then(|frame| {
-            intake.take(&frame.maps, &frame.means, components, &mut taken)?;
-            detector.observe(at, &taken)
-        });
+        let evidence = frame
+            .as_ref()
+            .map_err(Undefined::clone)
+            .and_then(|frame| scorer.observe(at, &frame.maps, &frame.means));
         match evidence {
             Ok(evidence) => drive.add(at, evidence.score, evidence.fill >= 1.0),
             Err(why) => drive.add_unjudged(at, Reason::from(&why)),
@@ -140,10 +144,6 @@ pub struct Track {
 }
 
 impl Track {
-    fn len(&self) -> usize {
-        self.at.len()
-    }
-
     fn rows(&self, frames: Range<usize>) -> impl Iterator<Item = &[u32]> {
         self.taken[frames.start * self.width..frames.end * self.width]
             .chunks_exact(self.width.max(1))

@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use super::picture::PictureError;
 use super::pixels::Pixels;
+use super::undefined::Undefined;
 
 /// A picture with its place in time, or why there is none.
 #[derive(Debug)]
@@ -15,6 +16,17 @@ pub struct Frame {
     pub captured_at: Duration,
     /// The picture, or what was wrong with it.
     pub picture: Result<Pixels, PictureError>,
+}
+
+impl Frame {
+    /// The picture.
+    ///
+    /// # Errors
+    /// `Corrupt` when there is none.
+    pub fn pixels(&self) -> Result<&Pixels, Undefined> {
+        let pixels = self.picture.as_ref();
+        pixels.map_err(|error| Undefined::Corrupt(error.to_string()))
+    }
 }
 
 /// A source that cannot be opened or goes on no more.

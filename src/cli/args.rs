@@ -1,20 +1,22 @@
 //! The command line as typed.
 
+#[cfg(feature = "lab")]
+mod lab;
+
 use std::fmt::Display;
 use std::ops::RangeInclusive;
 use std::path::PathBuf;
 use std::str::FromStr;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
-use gapwatch::calibration::{PaperBinning, Temperature};
 use gapwatch::can::Sink;
-use gapwatch::capture::pixels::PixelFormat;
-use gapwatch::lab::scene::{Condition, Element, Look};
 use gapwatch::model::ModelOptions;
-use gapwatch::model::encoder::Executor;
 use gapwatch::record::evidence::Quota;
 use gapwatch::reference::gap::Metric;
 use gapwatch::reference::{WINDOW_S_MAX, WINDOW_S_MIN};
+
+#[cfg(feature = "lab")]
+pub use lab::*;
 
 /// Watches the road through a lane model's own encoder and warns on CAN when it has left the domain the model knows.
 #[derive(Debug, Parser)]
@@ -30,11 +32,17 @@ pub enum Command {
     Monitor(MonitorArgs),
     Calibrate(CalibrateArgs),
     Merge(MergeArgs),
+    #[cfg(feature = "lab")]
     Compare(CompareArgs),
+    #[cfg(feature = "lab")]
     Scene(SceneArgs),
+    #[cfg(feature = "lab")]
     Inspect(InspectArgs),
+    #[cfg(feature = "lab")]
     Evaluate(EvaluateArgs),
+    #[cfg(feature = "lab")]
     Report(ReportArgs),
+    #[cfg(feature = "lab")]
     Bench(BenchArgs),
     Doctor(DoctorArgs),
     PackageFiles(PackageFilesArgs),
@@ -220,253 +228,6 @@ pub struct MergeArgs {
     pub out: PathBuf,
 }
 
-/// Compare image sets: the first is the reference for the others
-#[derive(Debug, Args)]
-#[command(after_help = format!("{SOURCES}\n\nThe metrics paper and ...-pearson are correlations (1 = alike), the others \
-    distances (0 = alike): chi2, js (bits), hellinger and w1 on attention or log-energy histograms; frechet and mahalanobis on \
-    channels. frechet needs twice as many images as channels.\n\nExample:\n  gapwatch compare town01 town05 highway 'random:' --metric all --format csv"))]
-pub struct CompareArgs {
-    /// The reference, then the sets to compare with it
-    #[arg(value_name = "SOURCE", required = true, num_args = 2..)]
-    pub sources: Vec<String>,
-    /// Metric, or all
-    #[arg(long, value_name = "NAME|all", default_value = "all", value_parser = metrics)]
-    pub metric: Metrics,
-    /// Temperature of the metric paper: energy units, or times the reference's median peak energy as in 0.2peak
-    #[arg(long, value_name = "T", default_value = "10", value_parser = temperature)]
-    pub temperature: Temperature,
-    /// Levels of the metric paper's histogram
-    #[arg(long, value_name = "N", default_value_t = PaperBinning::PUBLISHED.levels, value_parser = whole::<usize>(2..=65_536))]
-    pub levels: usize,
-    /// First level that the metric paper counts
-    #[arg(long, value_name = "N", default_value_t = PaperBinning::PUBLISHED.first, value_parser = whole::<usize>(0..=65_536))]
-    pub first_level: usize,
-    #[command(flatten)]
-    pub model: ModelArgs,
-    /// How the result is written
-    #[arg(long, value_enum, default_value = "table")]
-    pub format: Format,
-    /// Also write every histogram to this file, JSON
-    #[arg(long, value_name = "FILE")]
-    pub histograms: Option<PathBuf>,
-}
-
-/// How a table is written.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum Format {
-    Table,
-    Json,
-    Csv,
-}
-
-/// The metrics asked for.
-#[derive(Clone, Debug)]
-pub struct Metrics(pub Vec<Metric>);
-
-/// Show where the encoder looks, frame by frame
-///
-/// DIR gets one sheet a frame, NNNNNN.png: what the model sees with the lanes it marks in blue-green, then the energies
-/// of each tap over the darkened picture, brighter is more, each from 0 to its own peak; below them the picture as it is, and
-/// for each tap which of 4x4 regions differ from the reference, brighter is farther, eight nominal spreads are brightest; and
-/// how far each channel is from nominal, over a band of two spreads. With a reference of histograms, instead of these: the
-/// live histogram in orange, the reference in blue-green, a white line under the bins that are counted, the others grey.
-/// inspect.json has the numbers, each frame judged by itself.
-#[derive(Debug, Args)]
-#[command(after_help = format!("{SOURCES}\n\nExample:\n  gapwatch inspect drive.mp4 --out sheets --count 6"))]
-pub struct InspectArgs {
-    /// What to look at
-    pub source: String,
-    /// Folder to write; must not exist or be empty
-    #[arg(long, value_name = "DIR")]
-    pub out: PathBuf,
-    /// How many frames, evenly spread over the source
-    #[arg(long, value_name = "N", default_value_t = 12, value_parser = whole::<u32>(1..=100_000))]
-    pub count: u32,
-    /// Reference to compare with; left out = the one inside the program, if it fits the model
-    #[arg(long, value_name = "FILE")]
-    pub reference: Option<PathBuf>,
-    #[command(flatten)]
-    pub model: ModelArgs,
-}
-
-/// Judge lane models and the monitor on scenes and drives that nothing was tuned on
-///
-/// lane_iou: lane IoU of every model in every look of the world, in plain day and under every condition at severities 1 to
-/// 5, and how much of the encoder's energy lies on lanes; each model is asked at its own size. domain_detection: how many
-/// drives enter Gap within 2 s of an event, at 1 and 0.1 false alarms an hour. false_alarms: entries into Gap on nominal
-/// drives, at thresholds made for 10, 1 and 0.1 an hour. These two judge one reference. field_sets: AUROC and recall at 5 %
-/// false positives of every metric on windows of 1, 5 and 10 images of other roads and simulators. paper_table: similarity
-/// of image sets as wholes, as in the paper. With --out, each key is kept as soon as it is done.
-#[derive(Debug, Args)]
-#[command(
-    after_help = "Example:\n  gapwatch evaluate --only field_sets --field sets --out results.json\n  gapwatch evaluate --from results.json --format markdown > RESULTS.md"
-)]
-pub struct EvaluateArgs {
-    /// ONNX files, each with a .toml of the same name beside it that names its lane output; left out = the built-in model
-    #[arg(long, value_name = "FILE.onnx", num_args = 1..)]
-    pub model: Vec<PathBuf>,
-    /// What to evaluate; left out = everything
-    #[arg(long, value_enum, value_name = "KEY")]
-    pub only: Option<EvaluateKey>,
-    /// Few scenes and drives: seconds instead of minutes, with wide intervals
-    #[arg(long)]
-    pub quick: bool,
-    /// Reference to judge; left out = the one inside the program
-    #[arg(long, value_name = "FILE")]
-    pub reference: Option<PathBuf>,
-    /// The look that is nominal to that reference
-    #[arg(long, value_name = "NAME", default_value_t = Look::Sim)]
-    pub look: Look,
-    /// Drives an event
-    #[arg(long, value_name = "N", conflicts_with = "quick", value_parser = whole::<u32>(1..=10_000))]
-    pub drives: Option<u32>,
-    /// Hours of nominal drives
-    #[arg(long, value_name = "HOURS", conflicts_with = "quick", value_parser = whole::<u32>(1..=10_000))]
-    pub hours: Option<u32>,
-    /// Scenes a look, condition and severity
-    #[arg(long, value_name = "N", conflicts_with = "quick", value_parser = whole::<u32>(1..=100_000))]
-    pub scenes: Option<u32>,
-    /// Folder of image sets for field_sets and paper_table; calibration/README.md lists what it holds
-    #[arg(long, value_name = "DIR")]
-    pub field: Option<PathBuf>,
-    /// How the result is written
-    #[arg(long, value_enum, default_value = "table")]
-    pub format: ResultsFormat,
-    /// File that gets the result as JSON too; of a file that is there, only what is evaluated is replaced
-    #[arg(long, value_name = "FILE")]
-    pub out: Option<PathBuf>,
-    /// Of speed_error, name the point that misses least at this share of one core of the machine that measured, percent
-    #[arg(long, value_name = "PERCENT", value_parser = percent)]
-    pub budget: Option<f64>,
-    /// Draw speed_error as an SVG picture too
-    #[arg(long, value_name = "FILE.svg")]
-    pub plot: Option<PathBuf>,
-    /// Show the results in these files instead of evaluating
-    #[arg(long, value_name = "FILE", num_args = 1.., conflicts_with_all = ["model", "quick", "reference", "drives", "hours", "scenes", "field", "out"])]
-    pub from: Vec<PathBuf>,
-}
-
-/// How results are written.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum ResultsFormat {
-    Table,
-    Json,
-    /// One table alone: lane_iou
-    Csv,
-    Markdown,
-}
-
-/// Keys of an evaluation.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum EvaluateKey {
-    /// Lane IoU over looks, conditions and severities
-    #[value(name = "lane_iou")]
-    LaneIou,
-    /// How soon events that leave the domain are entered as Gap
-    #[value(name = "domain_detection")]
-    DomainDetection,
-    /// Entries into Gap on nominal drives
-    #[value(name = "false_alarms")]
-    FalseAlarms,
-    /// Whether the gap foretells that the lane model fails, by metric and baseline
-    #[value(name = "lane_failure")]
-    LaneFailure,
-    /// Cost of a judged second against what is missed, by model, taps, window and frame rate
-    #[value(name = "speed_error")]
-    SpeedError,
-    /// How well each metric tells other roads' image sets from a simulation's; needs --field
-    #[value(name = "field_sets")]
-    FieldSets,
-    /// Similarity of adapted simulation, plain simulation and noise with real images, and with simulation, as in the paper
-    #[value(name = "paper_table")]
-    PaperTable,
-}
-
-impl EvaluateKey {
-    /// As it is typed and written.
-    pub fn name(self) -> String {
-        let value = self.to_possible_value();
-        value.map_or_else(String::new, |value| value.get_name().to_owned())
-    }
-}
-
-/// Show a journal as one HTML file
-///
-/// Timeline, alarms with what is behind them, gaps by tap, what was judged and what not. The file needs no network.
-#[derive(Debug, Args)]
-#[command(
-    after_help = "Example:\n  gapwatch replay --journal drive.jsonl --evidence seen\n  gapwatch report drive.jsonl --evidence seen --out drive.html"
-)]
-pub struct ReportArgs {
-    /// Journal, as replay --journal writes it
-    #[arg(value_name = "JOURNAL")]
-    pub journal: PathBuf,
-    /// Folder of replay --evidence: its pictures are shown beside the alarms
-    #[arg(long, value_name = "DIR")]
-    pub evidence: Option<PathBuf>,
-    /// HTML file to write
-    #[arg(long, value_name = "FILE.html")]
-    pub out: PathBuf,
-}
-
-/// Measure time, memory and allocations from picture to CAN frame
-///
-/// A short rendered drive passes stage by stage, with everything rendered and loaded beforehand; about 10 s.
-#[derive(Debug, Args)]
-#[command(
-    after_help = "Example:\n  gapwatch bench --model lane.onnx --frame 1920x1080 --format json"
-)]
-pub struct BenchArgs {
-    #[command(flatten)]
-    pub model: ModelArgs,
-    /// How the result is written
-    #[arg(long, value_enum, default_value = "table")]
-    pub format: TableFormat,
-    /// Chains that run at the same time, one thread each
-    #[arg(long, value_name = "N", default_value_t = 1, value_parser = threads)]
-    pub threads: usize,
-    /// Size of the camera's pictures, pixels
-    #[arg(long, value_name = "WxH", default_value = "1280x720")]
-    pub frame: PictureSize,
-    /// Format of the camera's pixels
-    #[arg(long, value_enum, default_value = "yuyv")]
-    pub pixels: PixelChoice,
-    /// Who runs the encoder: the fastest that can, or tract, to compare with
-    #[arg(long, value_enum, default_value = "fastest")]
-    pub executor: ExecutorChoice,
-    /// Also measure what the evidence recorder costs the frame loop, at 25 frames a second: a minute more
-    #[arg(long)]
-    pub evidence: bool,
-}
-
-/// A camera's pixel format.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum PixelChoice {
-    Yuyv,
-    Nv12,
-    Mjpg,
-    Rgb3,
-    Bgr3,
-}
-
-impl From<PixelChoice> for PixelFormat {
-    fn from(choice: PixelChoice) -> Self {
-        match choice {
-            PixelChoice::Yuyv => Self::Yuyv,
-            PixelChoice::Nv12 => Self::Nv12,
-            PixelChoice::Mjpg => Self::Mjpg,
-            PixelChoice::Rgb3 => Self::Rgb3,
-            PixelChoice::Bgr3 => Self::Bgr3,
-        }
-    }
-}
-
-impl std::fmt::Display for PixelChoice {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(&format!("{self:?}").to_uppercase())
-    }
-}
-
 /// Check whether a board can do what its file asks, and say what to do where it cannot
 ///
 /// One line a check, pass, warn, fail or left out: board file, model, reference, camera and its formats, bus and who else is on it,
@@ -500,37 +261,11 @@ pub struct PackageFilesArgs {
     pub out: PathBuf,
 }
 
-/// Who runs the encoder.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum ExecutorChoice {
-    Fastest,
-    Tract,
-}
-
-impl From<ExecutorChoice> for Executor {
-    fn from(choice: ExecutorChoice) -> Self {
-        match choice {
-            ExecutorChoice::Fastest => Self::Fastest,
-            ExecutorChoice::Tract => Self::Tract,
-        }
-    }
-}
-
 /// How a measurement is written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum TableFormat {
     Table,
     Json,
-}
-
-fn percent(text: &str) -> Result<f64, String> {
-    let percent = text.parse().ok().filter(|p| (0.01..=10_000.0).contains(p));
-    percent.ok_or_else(|| "wanted a share of one core from 0.01 to 10000 percent".to_owned())
-}
-
-fn threads(text: &str) -> Result<usize, String> {
-    let threads = text.parse().ok().filter(|n| (1..=64).contains(n));
-    threads.ok_or_else(|| "wanted a number of threads from 1 to 64".to_owned())
 }
 
 /// The model, if not the built-in one
@@ -595,18 +330,6 @@ fn rate(text: &str) -> Result<f64, String> {
     rate.ok_or_else(|| "wanted entries an hour from 0.000001 to 3600".to_owned())
 }
 
-fn metrics(text: &str) -> Result<Metrics, String> {
-    if text == "all" {
-        return Ok(Metrics(Metric::of_sets()));
-    }
-    let Ok(metric) = text.parse::<Metric>() else {
-        let names: Vec<String> = Metric::of_sets().iter().map(Metric::to_string).collect();
-        return Err(format!("wanted all, or one of {}", names.join(", ")));
-    };
-    metric.check_of_sets().map_err(|why| why.to_string())?;
-    Ok(Metrics(vec![metric]))
-}
-
 /// A whole number in a range, refused in plain words.
 fn whole<T>(range: RangeInclusive<T>) -> impl Fn(&str) -> Result<T, String> + Clone + Send + Sync
 where
@@ -621,90 +344,5 @@ where
                 range.end()
             )
         })
-    }
-}
-
-fn temperature(text: &str) -> Result<Temperature, String> {
-    let positive = |number: &str| {
-        number
-            .parse::<f64>()
-            .ok()
-            .filter(|t| t.is_normal() && *t > 0.0)
-    };
-    match text.strip_suffix("peak") {
-        Some(share) => positive(share).map(Temperature::OfPeak),
-        None => positive(text).map(Temperature::Absolute),
-    }
-    .ok_or_else(|| "wanted a temperature above 0, as in 10 or 0.2peak".to_owned())
-}
-
-/// Render labelled scenes of the road simulator
-///
-/// Each scene is one moment of a drive of its own. DIR gets frames/NNNNNN.png (RGB), masks/NNNNNN.png (255 on a lane
-/// line) and scenes.jsonl (seed, time, world, conditions and SHA-256 of the pixels of each).
-#[derive(Debug, Args)]
-#[command(
-    after_help = "Example:\n  gapwatch scene --out scenes --count 100 --seed 7 --condition fog:3"
-)]
-pub struct SceneArgs {
-    /// Folder to write; must not exist or be empty
-    #[arg(long, value_name = "DIR", required_unless_present = "list")]
-    pub out: Option<PathBuf>,
-    /// Print the names that can be used instead of rendering
-    #[arg(long, value_enum, exclusive = true, value_name = "WHAT")]
-    pub list: Option<SceneList>,
-    /// How the world looks
-    #[arg(long, value_name = "NAME", default_value_t = Look::Sim)]
-    pub look: Look,
-    /// Element left out of the world; may be repeated
-    #[arg(long, value_name = "ELEMENT")]
-    pub without: Vec<Element>,
-    /// How many scenes
-    #[arg(long, value_name = "N", default_value_t = 10, value_parser = whole::<u32>(1..=1_000_000))]
-    pub count: u32,
-    /// Seed of the set
-    #[arg(long, value_name = "S", default_value_t = 1, value_parser = whole::<u32>(0..=u32::MAX - 1))]
-    pub seed: u32,
-    /// Condition over all scenes, KIND:SEVERITY; may be repeated
-    #[arg(long, value_name = "KIND:SEVERITY")]
-    pub condition: Vec<Condition>,
-    /// Size of the pictures, pixels
-    #[arg(long, value_name = "WxH", default_value = "320x160")]
-    pub size: PictureSize,
-}
-
-/// Names that `scene --list` prints.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum SceneList {
-    /// Looks of the world
-    Looks,
-    /// Elements that can be left out
-    Elements,
-    /// Kinds of condition
-    Conditions,
-}
-
-/// A picture's size as typed, `WxH`.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct PictureSize {
-    pub width: u32,
-    pub height: u32,
-}
-
-impl FromStr for PictureSize {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        let side = |side: &str| side.parse().ok().filter(|s| (16..=8_192).contains(s));
-        text.split_once('x')
-            .and_then(|(width, height)| {
-                Some(Self {
-                    width: side(width)?,
-                    height: side(height)?,
-                })
-            })
-            .ok_or_else(|| {
-                "wanted WIDTHxHEIGHT, each from 16 to 8192, for example 320x160".to_owned()
-            })
     }
 }

@@ -15,10 +15,10 @@ use gapwatch::features::lane::energy_on_lanes;
 use gapwatch::lab::profile_chart;
 use gapwatch::model::ModelSpec;
 use gapwatch::model::encoder::Encoder;
-use gapwatch::monitor::detector::{BlockScore, Detector};
-use gapwatch::monitor::intake::Intake;
+use gapwatch::monitor::detector::BlockScore;
 use gapwatch::monitor::profile::TapProfile;
-use gapwatch::reference::{Component, ModelFingerprint, Nominal, Reference, TapReference};
+use gapwatch::monitor::scorer::Scorer;
+use gapwatch::reference::{ModelFingerprint, Nominal, Reference, TapReference};
 use image::ExtendedColorType;
 use serde::Serialize;
 
@@ -93,8 +93,7 @@ struct Regions {
 /// What a frame is compared with.
 struct Comparison {
     reference: Reference,
-    intake: Intake,
-    taken: Vec<u32>,
+    common_size: (usize, usize),
 }
 
 pub fn run(args: &InspectArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
@@ -196,9 +195,8 @@ impl Comparison {
             None => {}
         }
         Ok(Some(Self {
-            intake: Intake::new(reference.metric, spec.taps.len(), common_size),
-            taken: vec![0; Component::taken_len(&reference.components)],
             reference,
+            common_size,
         }))
     }
 
@@ -208,14 +206,10 @@ impl Comparison {
         maps: &[EnergyMap],
         means: &[BlockMeans],
     ) -> Vec<(BlockScore, TapProfile)> {
-        let components = &self.reference.components;
-        let mut detector = Detector::new(&self.reference);
-        let seen = self
-            .intake
-            .take(maps, means, components, &mut self.taken)
-            .and_then(|()| detector.observe(Duration::ZERO, &self.taken));
+        let mut scorer = Scorer::new(&self.reference, self.common_size);
+        let seen = scorer.observe(Duration::ZERO, maps, means);
         let blocks = seen.map(|seen| seen.blocks).unwrap_or_default();
-        blocks.into_iter().zip(detector.profiles()).collect()
+        blocks.into_iter().zip(scorer.profiles()).collect()
     }
 }
 
@@ -317,7 +311,7 @@ fn inspect(
         lane_area: None,
         taps: BTreeMap::new(),
     };
-    let maps: Vec<EnergyMap> = match stage.energies(frame) {
+    let maps: Vec<EnergyMap> = match frame.pixels().and_then(|pixels| stage.energies_of(pixels)) {
         Ok(maps) => maps.to_vec(),
         Err(why) => {
             inspected.reason = Some(why.to_string());

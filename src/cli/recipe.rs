@@ -1,5 +1,7 @@
 //! What a reference is made of: drives by role, in an order of their own, and what the encoder saw of them.
 
+mod labelled;
+
 use std::borrow::Cow;
 use std::collections::HashSet;
 
@@ -12,8 +14,6 @@ use gapwatch::calibration::{
     Calibrated, Domain, Drive, LabelledDrive, LabelledMeans, Wanted, calibrate, looks,
 };
 use gapwatch::capture::{open, ranges, sort_drives, stamp, template};
-use gapwatch::lab::labelled::frames_of;
-use gapwatch::lab::scene::DriveSpec;
 use gapwatch::model::encoder::Encoder;
 use gapwatch::model::preprocess::CROP_NOTHING;
 use gapwatch::model::{ModelOptions, ModelSpec};
@@ -98,7 +98,7 @@ impl Recipe {
             );
         }
         for name in &recipe.labelled {
-            labelled_spec(name)?;
+            labelled::frame_count(name)?;
         }
         Ok(recipe)
     }
@@ -221,11 +221,7 @@ impl Recipe {
         let encoder = Encoder::load_with_lane(spec)?;
         let bar = progress::frames(Some(missing.len() as u64), "labelled drives");
         missing.into_par_iter().try_for_each(|(name, place)| {
-            let drive = labelled_spec(name)?;
-            // By its seed, not its place: the drive is the same in any shard. Only its rest by 5 counts.
-            let number = usize::try_from(drive.seed % 5)?;
-            let frames = frames_of(&drive, number, &encoder, &spec.preprocessing)?;
-            let frames: Vec<LabelledMeans> = frames.into_iter().map(|(_, frame)| frame).collect();
+            let frames = labelled::frames(name, &encoder, &spec.preprocessing)?;
             *place = Some(store.keep(name, Kept::Labelled, &lane_stamp(spec), &frames)?);
             bar.inc(1);
             anyhow::Ok(())
@@ -253,7 +249,7 @@ impl Recipe {
             sources.push(ShardSource {
                 source: source.clone(),
                 role: Role::Labelled,
-                frames: labelled_spec(source)?.frames(),
+                frames: labelled::frame_count(source)?,
             });
         }
         Ok(sources)
@@ -287,7 +283,7 @@ impl Recipe {
         } = calibrate(&domains, rest, &labelled, &self.model.taps, self.wanted)?;
         bar.finish_and_clear();
         for name in &self.labelled {
-            let frames = labelled_spec(name)?.frames();
+            let frames = labelled::frame_count(name)?;
             sources.push(SourceUse {
                 source: name.clone(),
                 role: Some(Role::Labelled),
@@ -426,18 +422,6 @@ fn all<T>(found: Vec<Option<T>>) -> anyhow::Result<Vec<T>> {
 /// What a labelled drive's frames depend on beside the encoder: the lane output.
 fn lane_stamp(spec: &ModelSpec) -> String {
     spec.lane.clone().unwrap_or_default()
-}
-
-/// A rendered drive by name; no other source has lane labels.
-fn labelled_spec(name: &str) -> anyhow::Result<DriveSpec> {
-    let Some(spec) = name.strip_prefix("scene:") else {
-        bail!("--labelled {name}: has no lane labels; wanted a rendered drive, scene:…");
-    };
-    let spec: DriveSpec = spec.parse()?;
-    if !spec.conditions.is_empty() {
-        bail!("--labelled {name}: has a condition; wanted a plain drive, conditions are added");
-    }
-    Ok(spec)
 }
 
 fn comma_separated<T: ToString>(values: &[T]) -> String {

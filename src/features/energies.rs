@@ -4,14 +4,18 @@ use std::ops::Range;
 
 use serde::{Deserialize, Serialize};
 
+use crate::capture::Picture;
 use crate::capture::pixels::Pixels;
 use crate::capture::undefined::Undefined;
-use crate::capture::{Frame, Picture};
 use crate::features::attention::{EnergyMap, common_size, energy_from_features};
 use crate::features::image_quality::{ImageQuality, QualityMeter};
 use crate::features::lane::LaneMask;
 use crate::model::encoder::{Encoder, EncoderError, EncoderSession, FeatureMap, Kernel, turned};
 use crate::model::preprocess::{Preprocessing, Preprocessor};
+
+/// Hears the name of each stage of the chain when a frame has passed it: `health`, `preprocess`, `quality`, `encoder`,
+/// `energy`, `histogram`, `detector`.
+pub type StageDone<'a> = dyn FnMut(&'static str) + 'a;
 
 /// Picture → encoder input → feature maps → energy maps, for one thread. Keeps its buffers.
 pub struct EnergyStage {
@@ -67,31 +71,35 @@ impl EnergyStage {
         self.common
     }
 
-    /// Energy maps of a frame, one a tap, each of its block's own size.
-    ///
-    /// # Errors
-    /// Why this frame cannot be judged.
-    pub fn energies(&mut self, frame: &Frame) -> Result<&[EnergyMap], Undefined> {
-        let pixels = frame
-            .picture
-            .as_ref()
-            .map_err(|error| Undefined::Corrupt(error.to_string()))?;
-        self.energies_of(pixels)
-    }
-
     /// Energy maps of a picture, one a tap, each of its block's own size.
     ///
     /// # Errors
     /// Why it cannot be judged.
     pub fn energies_of(&mut self, pixels: &Pixels) -> Result<&[EnergyMap], Undefined> {
+        self.energies_step_by_step(pixels, &mut |_| {})
+    }
+
+    /// As [`energies_of`](Self::energies_of); `done` hears the name of each stage that is passed.
+    ///
+    /// # Errors
+    /// Why the picture cannot be judged.
+    pub fn energies_step_by_step(
+        &mut self,
+        pixels: &Pixels,
+        done: &mut StageDone<'_>,
+    ) -> Result<&[EnergyMap], Undefined> {
         let input = self.preprocessor.input(pixels)?;
+        done("preprocess");
         self.quality = self.meter.measure(input);
+        done("quality");
         let features = self.session.run(input).map_err(Undefined::Encoder)?;
+        done("encoder");
         let blocks = self.maps.iter_mut().zip(&mut self.means);
         for ((tap, features), (map, means)) in self.taps.iter().zip(features.iter()).zip(blocks) {
             energy_from_features(tap, features, map)?;
             means.take(features);
         }
+        done("energy");
         if let (Some(lane), Some(logits)) = (&mut self.lane, features.get(self.taps.len())) {
             lane.read(logits);
         }

@@ -5,14 +5,14 @@ use std::time::Duration;
 use crate::capture::undefined::Undefined;
 use crate::capture::{Frame, Picture};
 use crate::features::attention::EnergyMap;
-use crate::features::energies::EnergyStage;
+use crate::features::energies::{EnergyStage, StageDone};
 use crate::model::encoder::{Encoder, EncoderError};
 use crate::monitor::camera_health::CameraHealth;
-use crate::monitor::detector::Detector;
-use crate::monitor::intake::Intake;
+use crate::monitor::detector::Evidence;
 use crate::monitor::judge::{Judge, Sighting, Verdict};
 use crate::monitor::profile::TapProfile;
-use crate::reference::{Component, Reference};
+use crate::monitor::scorer::Scorer;
+use crate::reference::Reference;
 
 /// Watches one camera against one reference.
 pub struct Monitor {
@@ -24,10 +24,7 @@ pub struct Monitor {
 pub struct Sight {
     camera: CameraHealth,
     stage: EnergyStage,
-    components: Vec<Component>,
-    intake: Intake,
-    taken: Vec<u32>,
-    detector: Detector,
+    scorer: Scorer,
 }
 
 /// Where the encoder looked, and what it found there.
@@ -55,7 +52,12 @@ impl Monitor {
 
     /// What is known after a frame. Time is the frame's own.
     pub fn step(&mut self, frame: &Frame) -> Verdict {
-        let seen = self.sight.see(frame);
+        self.step_by_step(frame, &mut |_| {})
+    }
+
+    /// As [`step`](Self::step); `done` hears the name of each stage that is passed.
+    pub fn step_by_step(&mut self, frame: &Frame, done: &mut StageDone<'_>) -> Verdict {
+        let seen = self.sight.see_step_by_step(frame, done);
         self.judge.judge(seen)
     }
 
@@ -77,15 +79,10 @@ impl Sight {
     /// When the encoder's state cannot be set up.
     pub fn new(encoder: &Encoder, reference: &Reference) -> Result<Self, EncoderError> {
         let stage = EnergyStage::new(encoder, &reference.model.preprocessing)?;
-        let common_size = stage.common_size();
-        let detector = Detector::new(reference);
         Ok(Self {
             camera: CameraHealth::default(),
+            scorer: Scorer::new(reference, stage.common_size()),
             stage,
-            components: reference.components.clone(),
-            intake: Intake::new(reference.metric, reference.model.taps.len(), common_size),
-            taken: vec![0; detector.taken_len()],
-            detector,
         })
     }
 
@@ -93,18 +90,19 @@ impl Sight {
     pub fn with_frames_every(self, period: Duration) -> Self {
         Self {
             camera: CameraHealth::with_frames_every(period),
-            detector: self.detector.with_frames_every(period),
+            scorer: self.scorer.with_frames_every(period),
             ..self
         }
     }
 
     /// What a frame adds to what was seen before.
     pub fn see(&mut self, frame: &Frame) -> Sighting {
-        let evidence = self
-            .camera
-            .check(frame)
-            .and_then(|()| self.take(frame))
-            .and_then(|()| self.detector.observe(frame.captured_at, &self.taken));
+        self.see_step_by_step(frame, &mut |_| {})
+    }
+
+    /// As [`see`](Self::see); `done` hears the name of each stage that is passed.
+    pub fn see_step_by_step(&mut self, frame: &Frame, done: &mut StageDone<'_>) -> Sighting {
+        let evidence = self.evidence(frame, done);
         Sighting {
             at: frame.captured_at,
             sequence: frame.sequence,
@@ -118,15 +116,18 @@ impl Sight {
         Look {
             seen: self.stage.seen(),
             energies: self.stage.maps().to_vec(),
-            profiles: self.detector.profiles(),
+            profiles: self.scorer.profiles(),
         }
     }
 
-    /// Fills `taken` with what each nominal domain looks at in one frame.
-    fn take(&mut self, frame: &Frame) -> Result<(), Undefined> {
-        self.stage.energies(frame)?;
-        let (maps, means) = (self.stage.maps(), self.stage.means());
-        self.intake
-            .take(maps, means, &self.components, &mut self.taken)
+    fn evidence(&mut self, frame: &Frame, done: &mut StageDone<'_>) -> Result<Evidence, Undefined> {
+        self.camera.check(frame)?;
+        done("health");
+        self.stage.energies_step_by_step(frame.pixels()?, done)?;
+        self.scorer.take(self.stage.maps(), self.stage.means())?;
+        done("histogram");
+        let evidence = self.scorer.detect(frame.captured_at);
+        done("detector");
+        evidence
     }
 }

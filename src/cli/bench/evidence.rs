@@ -5,12 +5,13 @@ use std::time::{Duration, Instant};
 
 use gapwatch::capture::pixels::Pixels;
 use gapwatch::capture::{Frame, open};
+use gapwatch::live::cost::quantile;
 use gapwatch::monitor::pipeline::Monitor;
 use gapwatch::record::evidence::{Quota, Recorder};
 use gapwatch::reference::Reference;
 use serde::Serialize;
 
-use super::{Model, ms, quantile};
+use super::{Model, ms};
 use crate::cli::args::BenchArgs;
 
 /// Blocks, every second one with the recorder.

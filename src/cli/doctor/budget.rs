@@ -3,11 +3,11 @@
 use std::time::Duration;
 
 use gapwatch::live::board::Board;
+use gapwatch::live::cost::{Buffer, chain_times, quantile, resident_bytes};
 use gapwatch::monitor::pipeline::Monitor;
 use gapwatch::reference::Reference;
 
 use super::super::Model;
-use super::super::bench::{chain_times, ms, quantile, resident_mib};
 use super::Check;
 use super::camera::Taken;
 
@@ -56,24 +56,26 @@ fn judged(
 }
 
 fn time(board: &Board, model: &Model, reference: &Reference, taken: &Taken) -> Check {
-    let times = match chain_times(model, reference, &taken.frames, MEASURE) {
+    let pixels = taken
+        .frames
+        .iter()
+        .filter_map(|frame| frame.picture.as_ref().ok());
+    let shown: Vec<Buffer> = pixels.map(|p| (p.layout(), p.bytes().to_vec())).collect();
+    let times = match chain_times(&model.encoder, reference, &shown, MEASURE) {
         Ok(times) => times,
         Err(error) => {
             let remedy = "see that the lens is free and lit";
             return Check::fail("budget", format!("{error:#}"), remedy);
         }
     };
-    let taking = taken.cpu.unwrap_or_default();
+    let taking = taken.cpu;
     let [median, late] = [50, 99].map(|percent| taking + quantile(times.clone(), percent));
     let allowed = board.budget.frame;
     let found = format!(
-        "{:.1} ms a frame, {:.1} ms at 99 %, of them {} to take and convert it; {:.1} ms allowed at {} a second",
+        "{:.1} ms a frame, {:.1} ms at 99 %, of them {:.1} ms to take and convert it; {:.1} ms allowed at {} a second",
         ms(median),
         ms(late),
-        taken.cpu.map_or_else(
-            || "an unknown time".to_owned(),
-            |cpu| format!("{:.1} ms", ms(cpu))
-        ),
+        ms(taken.cpu),
         ms(allowed),
         board.monitor.rate_hz
     );
@@ -87,8 +89,9 @@ fn time(board: &Board, model: &Model, reference: &Reference, taken: &Taken) -> C
 /// With the frames of this check, which the monitor does not hold; so it is no less than the monitor's.
 fn memory(board: &Board) -> Check {
     let allowed = board.budget.memory_mib;
-    match resident_mib() {
-        Err(error) => Check::left_out("memory", format!("{error:#}")),
+    #[allow(clippy::cast_precision_loss)]
+    match resident_bytes().map(|bytes| bytes as f64 / 1_048_576.0) {
+        Err(error) => Check::left_out("memory", error.to_string()),
         Ok(used) if used > allowed => Check::fail(
             "memory",
             format!("{used:.0} MiB resident; {allowed:.0} MiB allowed"),
@@ -99,4 +102,8 @@ fn memory(board: &Board) -> Check {
             format!("{used:.0} MiB resident; {allowed:.0} MiB allowed"),
         ),
     }
+}
+
+fn ms(time: Duration) -> f64 {
+    time.as_secs_f64() * 1e3
 }

@@ -10,8 +10,8 @@ use std::time::{Duration, Instant};
 use gapwatch::capture::period::WantedPeriod;
 use gapwatch::capture::{Frame, FrameSource, SourceError, camera_facts, open_camera};
 use gapwatch::live::board::Board;
+use gapwatch::live::cost::{quantile, thread_cpu_time};
 
-use super::super::cpu_time::cpu_time;
 use super::Check;
 
 /// Frames that are taken.
@@ -26,15 +26,15 @@ const RATE_SHARE: f64 = 0.8;
 /// Frames that came.
 pub struct Taken {
     pub frames: Vec<Frame>,
-    /// CPU time that taking and converting one cost, median; `None` where the system does not tell.
-    pub cpu: Option<Duration>,
+    /// CPU time that taking and converting one cost, median.
+    pub cpu: Duration,
     /// Of the frames: how many a second came.
     rate_hz: f64,
 }
 
 struct Given {
     frame: Result<Option<Frame>, SourceError>,
-    cpu: Option<Duration>,
+    cpu: Duration,
 }
 
 pub fn check(board: &Board) -> (Option<Taken>, Check) {
@@ -110,11 +110,6 @@ fn take(source: Box<dyn FrameSource>, patience: Duration) -> Result<Taken, Strin
     if frames.is_empty() {
         return Err(format!("no frame within {:.0} s", patience.as_secs_f64()));
     }
-    let mut cpu: Option<Vec<Duration>> = cpu.into_iter().collect();
-    let cpu = cpu.as_mut().and_then(|cpu| {
-        cpu.sort_unstable();
-        cpu.get(cpu.len() / 2).copied()
-    });
     // One that stalls is as slow as all the time that was waited for it.
     let rate_hz = if in_time {
         rate_of(&frames)
@@ -123,18 +118,16 @@ fn take(source: Box<dyn FrameSource>, patience: Duration) -> Result<Taken, Strin
     };
     Ok(Taken {
         frames,
-        cpu,
+        cpu: quantile(cpu, 50),
         rate_hz,
     })
 }
 
 fn give(mut source: Box<dyn FrameSource>, sender: &Sender<Given>) {
     loop {
-        let before = cpu_time();
+        let before = thread_cpu_time();
         let frame = source.next_frame();
-        let cpu = before
-            .zip(cpu_time())
-            .map(|(before, after)| after.saturating_sub(before));
+        let cpu = thread_cpu_time().saturating_sub(before);
         let more = matches!(frame, Ok(Some(_)));
         if sender.send(Given { frame, cpu }).is_err() || !more {
             return;

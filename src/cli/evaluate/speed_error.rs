@@ -7,8 +7,10 @@ use anyhow::{Context, anyhow, bail};
 use gapwatch::capture::pixels::PixelFormat;
 use gapwatch::capture::{Frame, open};
 use gapwatch::files::whole_file::WholeFile;
+use gapwatch::lab::camera_buffers::buffer_of;
 use gapwatch::lab::evaluation::lane_failure::{self, Sizes};
 use gapwatch::lab::evaluation::speed_error::{self, SIZES, SpeedError, front};
+use gapwatch::live::cost::thread_cpu_time;
 use gapwatch::model::encoder::Encoder;
 use gapwatch::model::{ModelOptions, ModelSpec};
 use gapwatch::monitor::pipeline::Monitor;
@@ -17,9 +19,7 @@ use plotters::prelude::{
     SVGBackend, SeriesLabelPosition, WHITE,
 };
 
-use super::super::bench::buffers::buffer_of;
-use super::super::bench::made_for;
-use super::super::cpu_time::cpu_time;
+use super::super::quick_reference::made_for;
 use super::super::{Model, progress};
 use super::results::Row;
 use super::sheet::{Sheet, with_interval};
@@ -121,7 +121,7 @@ fn frame_ms(spec: &ModelSpec) -> anyhow::Result<f64> {
     let mut before = Duration::ZERO;
     for (n, (layout, bytes)) in (0..WARM_UP + MEASURED).zip(buffers.iter().cycle()) {
         if n == WARM_UP {
-            before = cpu_time().context("this machine does not tell the CPU time of a thread")?;
+            before = thread_cpu_time();
         }
         let pixels = layout.pixels(bytes).map_err(|why| anyhow!(why))?;
         monitor.step(&Frame {
@@ -130,8 +130,7 @@ fn frame_ms(spec: &ModelSpec) -> anyhow::Result<f64> {
             picture: Ok(pixels),
         });
     }
-    let after = cpu_time().unwrap_or(before);
-    Ok((after.saturating_sub(before) / MEASURED).as_secs_f64() * 1e3)
+    Ok((thread_cpu_time().saturating_sub(before) / MEASURED).as_secs_f64() * 1e3)
 }
 
 /// Seeds of what is rendered.

@@ -1,15 +1,18 @@
 //! Rendered pictures → the buffers that a camera would fill with them.
 
-use anyhow::Context;
-use gapwatch::capture::Picture;
-use gapwatch::capture::pixels::{Layout, PixelFormat};
 use image::codecs::jpeg::JpegEncoder;
+
+use crate::capture::Picture;
+use crate::capture::pixels::{Layout, PixelFormat};
 
 /// Quality of JPEG images, of 100: what cameras send.
 const JPEG_QUALITY: u8 = 85;
 
 /// A buffer with its layout.
-pub fn buffer_of(picture: &Picture, format: PixelFormat) -> anyhow::Result<(Layout, Vec<u8>)> {
+///
+/// # Errors
+/// When a picture cannot be made a JPEG image.
+pub fn buffer_of(picture: &Picture, format: PixelFormat) -> image::ImageResult<(Layout, Vec<u8>)> {
     let layout = Layout {
         format,
         width: picture.width,
@@ -37,14 +40,12 @@ pub fn buffer_of(picture: &Picture, format: PixelFormat) -> anyhow::Result<(Layo
         }
         PixelFormat::Mjpg => {
             let mut jpeg = Vec::new();
-            JpegEncoder::new_with_quality(&mut jpeg, JPEG_QUALITY)
-                .encode(
-                    &picture.rgb,
-                    picture.width,
-                    picture.height,
-                    image::ExtendedColorType::Rgb8,
-                )
-                .context("a picture cannot be made a JPEG image")?;
+            JpegEncoder::new_with_quality(&mut jpeg, JPEG_QUALITY).encode(
+                &picture.rgb,
+                picture.width,
+                picture.height,
+                image::ExtendedColorType::Rgb8,
+            )?;
             jpeg
         }
     };
