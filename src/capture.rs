@@ -21,6 +21,7 @@ mod wish;
 mod camera;
 mod images;
 mod random;
+#[cfg(feature = "lab")]
 mod recording;
 mod video;
 

@@ -6,6 +6,7 @@ mod bench;
 mod calibrate;
 #[cfg(feature = "lab")]
 mod compare;
+#[cfg(feature = "lab")]
 pub mod counting;
 mod doctor;
 #[cfg(feature = "lab")]
@@ -32,20 +33,19 @@ mod report;
 mod scene;
 mod service;
 mod signals;
+#[cfg(feature = "lab")]
+mod surveys;
 
 use std::io::Write;
 use std::path::Path;
 
-use anyhow::bail;
-use gapwatch::calibration::survey::{Keep, Survey, SurveyError};
-use gapwatch::capture::open;
+use gapwatch::calibration::survey::Keep;
 use gapwatch::model::encoder::{Encoder, Executor};
 use gapwatch::model::{ModelOptions, ModelSpec};
 use gapwatch::monitor::alarm::AlarmState;
 use gapwatch::monitor::judge::Verdict;
 use gapwatch::record::evidence::Kept;
 use gapwatch::reference::ModelFingerprint;
-use rayon::prelude::*;
 
 use crate::cli::args::{Command, ModelArgs};
 
@@ -105,10 +105,6 @@ impl Model {
         Self::of_spec(ModelSpec::new(file, options)?, Executor::default())
     }
 
-    fn load_spec(spec: &ModelSpec) -> anyhow::Result<Self> {
-        Self::of_spec(spec.clone(), Executor::default())
-    }
-
     fn of_spec(spec: ModelSpec, executor: Executor) -> anyhow::Result<Self> {
         let encoder = Encoder::load_in(&spec, executor)?;
         let fingerprint = ModelFingerprint::new(&spec, &encoder);
@@ -117,32 +113,6 @@ impl Model {
             encoder,
             fingerprint,
         })
-    }
-
-    /// Looks at whole sources, several at a time; a source that cannot be opened fails before any is looked at.
-    fn survey(&self, sources: &[String], keep: Keep, what: &str) -> anyhow::Result<Vec<Survey>> {
-        let counts = sources
-            .iter()
-            .map(|name| Ok(open(name)?.frame_count()))
-            .collect::<anyhow::Result<Vec<_>>>()?;
-        let count: Option<u64> = counts.into_iter().sum();
-        let most = frames_max(keep);
-        if let Some(count) = count.filter(|&count| count > most) {
-            bail!(
-                "{count} frames in all; wanted at most {most}: take fewer or shorter drives, or a lower fps"
-            );
-        }
-        let bar = progress::frames(count, what);
-        let surveys = sources
-            .par_iter()
-            .map(|name| {
-                Survey::of(name, &self.encoder, &self.spec.preprocessing, keep, &|| {
-                    bar.inc(1)
-                })
-            })
-            .collect::<Result<Vec<_>, SurveyError>>()?;
-        bar.finish_and_clear();
-        Ok(surveys)
     }
 }
 

@@ -8,6 +8,7 @@ use std::process::ExitCode;
 use clap::Parser;
 use clap::error::ErrorKind;
 
+#[cfg(feature = "lab")]
 #[global_allocator]
 static ALLOCATOR: cli::counting::Counting = cli::counting::Counting;
 

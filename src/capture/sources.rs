@@ -7,8 +7,10 @@ use super::camera;
 use super::frame::{FrameSource, SourceError};
 use super::names::{FileName, file_name};
 use super::period::WantedPeriod;
+#[cfg(feature = "lab")]
+use super::recording;
 use super::wish::{CameraFacts, CameraWish};
-use super::{images, random, recording, video};
+use super::{images, random, video};
 
 /// The built-in drive: nominal for 20 s, fog of 60 m visibility to 40 s, nominal again to 60 s.
 pub const BUILT_IN_DRIVE: &str = "scene:sim?seed=7&seconds=60&fps=10&condition=fog:4@20-40";
@@ -103,6 +105,14 @@ pub fn open(name: &str) -> Result<Box<dyn FrameSource>, SourceError> {
             "?fps= is for folders of images; a video or recording has its own times, one image has none",
         );
     }
+    #[cfg(not(feature = "lab"))]
+    if path
+        .extension()
+        .is_some_and(|e| e.eq_ignore_ascii_case("mcap"))
+    {
+        return wrong("this build reads no MCAP recordings (build with --features lab)");
+    }
+    #[cfg(feature = "lab")]
     if path.is_file() && recording::is_recording(path) {
         return Ok(Box::new(recording::RecordingSource::open(path, topic)?));
     }

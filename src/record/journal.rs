@@ -15,6 +15,7 @@ mod line;
 mod writing;
 
 mod reading;
+#[cfg_attr(not(feature = "lab"), path = "journal/no_recording.rs")]
 mod recording;
 
 pub use about::About;

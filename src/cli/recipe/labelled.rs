@@ -31,8 +31,8 @@ pub fn frames(
     return Err(not_here(name));
 }
 
-#[cfg(feature = "lab")]
 /// A rendered drive by name; no other source has lane labels.
+#[cfg(feature = "lab")]
 fn spec(name: &str) -> anyhow::Result<gapwatch::lab::scene::DriveSpec> {
     let Some(spec) = name.strip_prefix("scene:") else {
         anyhow::bail!("--labelled {name}: has no lane labels; wanted a rendered drive, scene:…");

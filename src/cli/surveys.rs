@@ -1,0 +1,47 @@
+//! Whole sources through a model, several at a time.
+
+use anyhow::bail;
+use gapwatch::calibration::survey::{Keep, Survey, SurveyError};
+use gapwatch::capture::open;
+use gapwatch::model::ModelSpec;
+use gapwatch::model::encoder::Executor;
+use rayon::prelude::*;
+
+use super::{Model, frames_max, progress};
+
+impl Model {
+    pub fn load_spec(spec: &ModelSpec) -> anyhow::Result<Self> {
+        Self::of_spec(spec.clone(), Executor::default())
+    }
+
+    /// Looks at whole sources, several at a time; a source that cannot be opened fails before any is looked at.
+    pub fn survey(
+        &self,
+        sources: &[String],
+        keep: Keep,
+        what: &str,
+    ) -> anyhow::Result<Vec<Survey>> {
+        let counts = sources
+            .iter()
+            .map(|name| Ok(open(name)?.frame_count()))
+            .collect::<anyhow::Result<Vec<_>>>()?;
+        let count: Option<u64> = counts.into_iter().sum();
+        let most = frames_max(keep);
+        if let Some(count) = count.filter(|&count| count > most) {
+            bail!(
+                "{count} frames in all; wanted at most {most}: take fewer or shorter drives, or a lower fps"
+            );
+        }
+        let bar = progress::frames(count, what);
+        let surveys = sources
+            .par_iter()
+            .map(|name| {
+                Survey::of(name, &self.encoder, &self.spec.preprocessing, keep, &|| {
+                    bar.inc(1)
+                })
+            })
+            .collect::<Result<Vec<_>, SurveyError>>()?;
+        bar.finish_and_clear();
+        Ok(surveys)
+    }
+}
