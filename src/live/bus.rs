@@ -189,3 +189,279 @@ pub(super) fn may_complain(complained_at: &mut Option<Duration>, now: Duration) 
     }
     may
 }
+
+#[cfg(test)]
+pub(super) mod tests {
+    #![allow(clippy::unwrap_used)]
+    use std::cell::RefCell;
+    use std::collections::VecDeque;
+    use std::io;
+    use std::rc::Rc;
+
+    use super::*;
+    use crate::can::speed::SpeedSignal;
+    use crate::can::{BusState, CanFrame};
+    use crate::monitor::alarm::{AlarmState, Reason};
+
+    const SPEED_ID: u16 = 0x1A0;
+
+    /// A bus in memory, as those see it who are on it.
+    #[derive(Default)]
+    pub struct Wire {
+        /// What was taken, and when.
+        taken: Vec<(Duration, CanFrame)>,
+        /// When a frame of CAN FD was.
+        taken_fd: Vec<Duration>,
+        /// Said to every frame, and at the end.
+        pub trouble: Option<fn() -> SinkError>,
+        /// What others have sent.
+        pub heard: VecDeque<CanFrame>,
+    }
+
+    pub type SharedWire = Rc<RefCell<Wire>>;
+
+    impl Wire {
+        /// Time in ms and content of each status frame.
+        pub fn statuses(&self) -> Vec<(u128, GapStatus)> {
+            self.of(0x5D0, |data| GapStatus::from_bytes(data).unwrap())
+        }
+
+        /// Time in ms and content of each health frame.
+        pub fn healths(&self) -> Vec<(u128, GapHealth)> {
+            self.of(0x5D1, |data| GapHealth::from_bytes(data).unwrap())
+        }
+
+        fn of<T>(&self, id: u16, read: fn(&[u8; 8]) -> T) -> Vec<(u128, T)> {
+            let frames = self.taken.iter().filter(|(_, frame)| frame.id == id);
+            frames
+                .map(|(at, frame)| (at.as_millis(), read(&frame.data)))
+                .collect()
+        }
+
+        /// Somebody says how fast the car is.
+        pub fn say_kmh(&mut self, kmh: u8) {
+            let data = [kmh, 0, 0, 0, 0, 0, 0, 0];
+            self.heard.push_back(CanFrame { id: SPEED_ID, data });
+        }
+
+        fn answer(&self) -> Result<(), SinkError> {
+            self.trouble.map_or(Ok(()), |trouble| Err(trouble()))
+        }
+    }
+
+    struct Sink(SharedWire);
+
+    impl WarningSink for Sink {
+        fn send(&mut self, at: Duration, frame: &CanFrame) -> Result<(), SinkError> {
+            let mut wire = self.0.borrow_mut();
+            wire.answer()?;
+            wire.taken.push((at, *frame));
+            Ok(())
+        }
+
+        fn send_fd(&mut self, at: Duration, _: u16, _: &[u8]) -> Result<(), SinkError> {
+            let mut wire = self.0.borrow_mut();
+            wire.answer()?;
+            wire.taken_fd.push(at);
+            Ok(())
+        }
+
+        fn receive(&mut self) -> Option<CanFrame> {
+            self.0.borrow_mut().heard.pop_front()
+        }
+
+        fn bus_state(&self) -> BusState {
+            BusState::Passive
+        }
+
+        fn finish(self: Box<Self>) -> Result<(), SinkError> {
+            self.0.borrow().answer()
+        }
+    }
+
+    /// Says that the bus may take a frame later.
+    pub fn refused() -> SinkError {
+        SinkError::Refused {
+            sink: "can0".to_owned(),
+            source: io::ErrorKind::NetworkDown.into(),
+        }
+    }
+
+    /// Says that a log does not take a frame.
+    pub fn full() -> SinkError {
+        SinkError::Write {
+            sink: "log:x".to_owned(),
+            source: io::ErrorKind::StorageFull.into(),
+        }
+    }
+
+    pub fn ms(ms: u64) -> Duration {
+        Duration::from_millis(ms)
+    }
+
+    fn settings() -> CanSettings {
+        CanSettings {
+            fd: true,
+            speed: Some(SpeedSignal {
+                id: SPEED_ID,
+                start_bit: 0,
+                length: 8,
+                big_endian: false,
+                factor: 1.0,
+                offset: 0.0,
+                parked_below_kmh: 1.0,
+                parked_after: ms(1_000),
+            }),
+            ..CanSettings::default()
+        }
+    }
+
+    /// A bus that is not live yet, and its wire.
+    pub fn bus() -> (Bus, SharedWire) {
+        let wire = SharedWire::default();
+        let sink = Box::new(Sink(Rc::clone(&wire)));
+        let reference = Reference::read(None).unwrap();
+        (Bus::new(sink, settings(), &reference).unwrap(), wire)
+    }
+
+    /// Of a frame taken at a time in ms that was judged.
+    fn judged(at: u64) -> Verdict {
+        let block = |score| BlockScore {
+            gap: 0.0,
+            similarity: 0.5,
+            score,
+        };
+        Verdict {
+            at: ms(at),
+            sequence: Some(at),
+            state: AlarmState::Suspect,
+            reason: Reason::Abrupt,
+            score: Some(1.5),
+            blocks: [1.5, 0.5].map(block).into_iter().collect(),
+            window_fill: Some(0.5),
+            fault_detection_counter: 9,
+            gap_stored: true,
+            ..Verdict::nothing_yet()
+        }
+    }
+
+    /// Of no frame, at a time in ms.
+    fn silence(at: u64) -> Verdict {
+        Verdict {
+            at: ms(at),
+            state: AlarmState::Unavailable,
+            reason: Reason::Stale,
+            ..Verdict::nothing_yet()
+        }
+    }
+
+    #[test]
+    fn the_bus_hears_what_is_known_and_how_old_the_last_judged_frame_is() {
+        let (mut bus, wire) = bus();
+        bus.tell(ms(0), &silence(0), ms(0)).unwrap();
+        bus.tell(ms(1_050), &judged(1_000), ms(50)).unwrap();
+        bus.tell(ms(1_700), &silence(1_500), ms(200)).unwrap();
+        let statuses = wire.borrow().statuses();
+        let at = |at| statuses.iter().find(|(sent, _)| *sent == at).unwrap().1;
+        assert_eq!(at(0).frame_age, None);
+        let wanted = GapStatus {
+            state: AlarmState::Suspect,
+            reason: Reason::Abrupt,
+            gap_stored: true,
+            score: Some(1.5),
+            block_scores: [Some(1.5), Some(0.5), None],
+            fault_detection_counter: 9,
+            frame_age: Some(ms(100)),
+        };
+        assert_eq!(at(1_050), wanted);
+        let wanted = GapStatus {
+            state: AlarmState::Unavailable,
+            reason: Reason::Stale,
+            gap_stored: false,
+            score: None,
+            block_scores: [None; 3],
+            fault_detection_counter: 0,
+            frame_age: Some(ms(700)),
+        };
+        assert_eq!(at(1_700), wanted);
+    }
+
+    #[test]
+    fn the_health_is_of_judged_frames_and_of_now() {
+        let (mut bus, wire) = bus();
+        let reference = Reference::read(None).unwrap();
+        bus.tell(ms(1_050), &judged(1_000), ms(50)).unwrap();
+        let wanted = GapHealth {
+            strict: reference.strict,
+            bus_state: BusState::Passive,
+            frame_rate_hz: Some(1.0),
+            dropped_frames: 0,
+            latency_p50: Some(ms(50)),
+            latency_p99: Some(ms(50)),
+            window_fill: Some(0.5),
+            reference_id: reference.id(),
+        };
+        assert_eq!(wire.borrow().healths(), [(1_050, wanted)]);
+        // Silence has no latency.
+        bus.tell(ms(1_700), &silence(1_500), ms(200)).unwrap();
+        bus.dropped_frames = 3;
+        bus.tell_health(ms(2_050));
+        bus.poll(ms(2_050)).unwrap();
+        let wanted = GapHealth {
+            frame_rate_hz: Some(0.0),
+            dropped_frames: 3,
+            window_fill: None,
+            ..wanted
+        };
+        assert_eq!(wire.borrow().healths()[1..], [(2_050, wanted)]);
+    }
+
+    #[test]
+    fn a_bus_that_is_down_gets_the_newest_later_and_a_log_that_is_full_is_an_error() {
+        let (bus, wire) = bus();
+        let mut bus = bus.live();
+        assert!(!bus.is_waiting());
+        wire.borrow_mut().trouble = Some(refused);
+        bus.tell(ms(0), &judged(0), ms(0)).unwrap();
+        assert!(bus.is_waiting());
+        bus.poll(ms(10)).unwrap();
+        wire.borrow_mut().trouble = Some(full);
+        assert!(matches!(bus.poll(ms(20)), Err(SinkError::Write { .. })));
+        let told = bus.tell(ms(30), &silence(30), ms(0));
+        assert!(matches!(told, Err(SinkError::Write { .. })));
+        wire.borrow_mut().trouble = None;
+        bus.poll(ms(40)).unwrap();
+        assert!(!bus.is_waiting());
+        let sent = wire.borrow().statuses();
+        let sent: Vec<_> = sent.iter().map(|(at, it)| (*at, it.state)).collect();
+        assert_eq!(sent, [(40, AlarmState::Unavailable)]);
+        assert_eq!(wire.borrow().taken_fd, [ms(40)]);
+        wire.borrow_mut().trouble = Some(full);
+        assert!(bus.finish().is_err());
+    }
+
+    #[test]
+    fn a_replay_sends_what_fell_due_and_a_live_bus_only_what_is_valid_now() {
+        for (live, wanted) in [(false, vec![0, 100, 200, 300]), (true, vec![0, 350])] {
+            let (bus, wire) = bus();
+            let mut bus = if live { bus.live() } else { bus };
+            bus.tell(ms(0), &judged(0), ms(0)).unwrap();
+            bus.poll(ms(350)).unwrap();
+            let sent = wire.borrow().statuses();
+            let sent: Vec<u128> = sent.iter().map(|(at, _)| *at).collect();
+            assert_eq!(sent, wanted, "live: {live}");
+            bus.finish().unwrap();
+        }
+    }
+
+    #[test]
+    fn what_concerns_nobody_here_is_not_heard() {
+        let (mut bus, wire) = bus();
+        for id in [0x123, 0x5D1, 0x124] {
+            let data = [0; 8];
+            wire.borrow_mut().heard.push_back(CanFrame { id, data });
+        }
+        assert_eq!(bus.hear(), Some(Heard::Foreign(0x5D1)));
+        assert_eq!(bus.hear(), None);
+    }
+}

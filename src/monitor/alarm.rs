@@ -818,4 +818,24 @@ mod tests {
             [(0, AlarmState::Init), (500, AlarmState::SensorFault)]
         );
     }
+
+    #[test]
+    fn blindness_between_slow_frames_is_a_hole_and_silence_is_none() {
+        let ms = Duration::from_millis;
+        let evident = Judgement::Score {
+            score: 9.0,
+            settled: true,
+        };
+        for (reason, counter) in [(Reason::Black, 0), (Reason::Stale, 114)] {
+            let mut alarm = Alarm::default();
+            alarm.step(ms(0), evident);
+            alarm.step(ms(400), evident);
+            assert_eq!(alarm.fault_detection_counter(), 50);
+            alarm.step(ms(900), Judgement::Cannot(reason));
+            assert_eq!(alarm.reason(), reason);
+            // No more than half as long again as 400 ms: without a hole between them they follow each other.
+            alarm.step(ms(910), evident);
+            assert_eq!(alarm.fault_detection_counter(), counter, "{reason:?}");
+        }
+    }
 }

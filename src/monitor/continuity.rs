@@ -106,6 +106,17 @@ mod tests {
             steps(&mut continuity, &[607_501, 608_501, 609_501]),
             [None, None, Some(1_000)]
         );
+        // One of 2 s may be the first of many.
+        continuity.interrupt();
+        assert_eq!(
+            steps(&mut continuity, &[0, 2_000, 4_000]),
+            [None, None, Some(2_000)]
+        );
+        continuity.interrupt();
+        assert_eq!(
+            steps(&mut continuity, &[0, 2_001, 4_001]),
+            [None, None, None]
+        );
     }
 
     #[test]

@@ -313,6 +313,131 @@ fn numbers_end() {
     assert_eq!(names(place.path()).len(), 1);
 }
 
+#[test]
+fn the_last_number_is_given_and_none_after_it() {
+    let place = tempfile::tempdir().unwrap();
+    let last_but_one = place.path().join(name_of(NUMBER_MAX - 1));
+    fs::create_dir(&last_but_one).unwrap();
+    fs::write(last_but_one.join(EVENT_FILE), "{}").unwrap();
+    let mut folder = EventFolder::open(place.path(), quota(9, 10_000)).unwrap();
+    folder.add(&event(1), &[]).unwrap();
+    assert!(place.path().join(name_of(NUMBER_MAX)).is_dir());
+    assert!(folder.add(&event(2), &[]).is_err());
+    assert_eq!(number(&name_of(NUMBER_MAX)), Some(NUMBER_MAX));
+    assert_eq!(number(&name_of(NUMBER_MAX + 1)), None);
+}
+
+#[test]
+fn an_event_that_cannot_have_its_name_uses_no_number_up() {
+    let place = tempfile::tempdir().unwrap();
+    let mut folder = EventFolder::open(place.path(), quota(9, 10_000)).unwrap();
+    // So that one that tries every number comes to their end.
+    folder.next = NUMBER_MAX;
+    let error = folder.place(&place.path().join("missing"), 1).unwrap_err();
+    assert_eq!(error.kind(), io::ErrorKind::NotFound);
+    assert_eq!((folder.next, folder.events.len()), (NUMBER_MAX, 0));
+}
+
+#[test]
+fn a_quota_may_be_filled_to_the_last_byte() {
+    let json = serde_json::to_vec_pretty(&event(1)).unwrap().len();
+    let all = quota(9, 2 * (json as u64 + 100));
+    let place = tempfile::tempdir().unwrap();
+    let mut folder = EventFolder::open(place.path(), all).unwrap();
+    assert_eq!(folder.path(), place.path());
+    for t_s in 1..=2 {
+        folder.add(&event(t_s), &files(100)).unwrap();
+    }
+    assert_eq!((folder.removed(), folder.bytes()), (0, all.bytes));
+    // One byte more costs the oldest.
+    folder.add(&event(3), &files(101)).unwrap();
+    assert_eq!(names(place.path()), BTreeSet::from(["000003".to_owned()]));
+    let whole = 2 * (json + 100) - json;
+    folder.add(&event(4), &files(whole)).unwrap();
+    assert_eq!(folder.bytes(), all.bytes);
+    assert!(folder.add(&event(5), &files(whole + 1)).is_err());
+    assert_eq!(names(place.path()), BTreeSet::from(["000004".to_owned()]));
+}
+
+#[test]
+fn a_quota_of_no_events_keeps_none() {
+    let place = tempfile::tempdir().unwrap();
+    let mut folder = EventFolder::open(place.path(), quota(0, 10_000)).unwrap();
+    let error = folder.add(&event(1), &[]).unwrap_err().to_string();
+    assert!(error.contains("larger than the quota"), "{error}");
+    assert_eq!(names(place.path()), BTreeSet::new());
+}
+
+#[test]
+fn an_event_is_old_when_its_time_is_over_and_not_before() {
+    let place = tempfile::tempdir().unwrap();
+    let quota = quota(9, 10_000);
+    let mut folder = EventFolder::open(place.path(), quota).unwrap();
+    folder.add(&event(1), &[]).unwrap();
+    drop(folder);
+    age(&place.path().join("000001"), at(TODAY));
+    let mut folder = EventFolder::open(place.path(), quota).unwrap();
+    folder.expire(at(TODAY + 30 * DAY)).unwrap();
+    assert_eq!(folder.removed(), 0);
+    let just_after = TODAY + 30 * DAY + Duration::from_nanos(1);
+    folder.expire(at(just_after)).unwrap();
+    assert_eq!((folder.removed(), names(place.path()).len()), (1, 0));
+}
+
+#[test]
+fn what_somebody_else_has_removed_counts_no_more() {
+    let place = tempfile::tempdir().unwrap();
+    let left = place.path().join(".unfinished-000001");
+    fs::create_dir(&left).unwrap();
+    fs::write(left.join("frame.jpg"), [7; 600]).unwrap();
+    fs::write(left.join("stuck"), "").unwrap();
+    let mut folder = EventFolder::open_on(STICKY, place.path(), quota(1, 1_000)).unwrap();
+    assert!(folder.add(&event(1), &files(300)).is_err());
+    fs::remove_dir_all(&left).unwrap();
+    folder.add(&event(1), &files(300)).unwrap();
+    // An event is forgotten, and was not removed for the next one.
+    let first = names(place.path()).pop_first().unwrap();
+    fs::remove_dir_all(place.path().join(&first)).unwrap();
+    folder.add(&event(2), &files(300)).unwrap();
+    assert_eq!((folder.removed(), names(place.path()).len()), (0, 1));
+    assert_ne!(names(place.path()).pop_first(), Some(first));
+}
+
+#[test]
+fn an_event_that_lost_a_file_is_none_again() {
+    let losing = Disk {
+        delete: |folder| {
+            fs::remove_file(folder.join("frame.jpg"))?;
+            Err(io::Error::other("the rest stays"))
+        },
+        ..Disk::REAL
+    };
+    let place = tempfile::tempdir().unwrap();
+    let mut folder = EventFolder::open_on(losing, place.path(), quota(1, 10_000)).unwrap();
+    for t_s in 1..=2 {
+        folder.add(&event(t_s), &files(100)).unwrap();
+    }
+    let read = read(place.path()).unwrap();
+    let left: Vec<Event> = read.into_iter().map(|(_, event)| event).collect();
+    assert_eq!((left, folder.removed()), (vec![event(2)], 1));
+    // Its description is there, and counts.
+    assert_eq!((folder.leftovers.len(), names(place.path()).len()), (1, 2));
+    assert!(folder.leftovers[0].bytes > 0);
+}
+
+#[test]
+fn what_is_not_there_is_no_event_and_what_cannot_be_seen_may_be_one() {
+    let place = tempfile::tempdir().unwrap();
+    let at = |name: &str| place.path().join(name);
+    fs::create_dir(at("000001")).unwrap();
+    assert!(!is_event(&at("000001")).unwrap());
+    fs::write(at("000001").join(EVENT_FILE), "{}").unwrap();
+    assert!(is_event(&at("000001")).unwrap());
+    assert!(!is_event(&at("000002")).unwrap());
+    assert!(!is_event(&at("000001").join(EVENT_FILE).join("below")).unwrap());
+    assert!(is_event(&at(&"9".repeat(300))).is_err());
+}
+
 /// SplitMix64 (Steele, Lea and Flood 2014).
 struct Dice(u64);
 
