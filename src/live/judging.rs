@@ -124,8 +124,11 @@ mod tests {
     #[test]
     fn a_request_to_clear_is_answered_and_refused_in_a_gap() {
         let mut judging = Judging::new(PERIODS);
-        assert_eq!(judging.obey(0 * MS, DRIVES), None);
-        assert_eq!(judging.obey(0 * MS, CLEAR), Some(Word::Cleared(true)));
+        assert_eq!(judging.obey(Duration::ZERO, DRIVES), None);
+        assert_eq!(
+            judging.obey(Duration::ZERO, CLEAR),
+            Some(Word::Cleared(true))
+        );
         let gap = look(&mut judging, 0, 2_000, 9.0);
         assert_eq!((gap.state, gap.gap_stored), (AlarmState::Gap, true));
         assert_eq!(judging.obey(2_000 * MS, CLEAR), Some(Word::Cleared(false)));
@@ -139,7 +142,7 @@ mod tests {
     fn nobody_looks_while_the_car_is_parked_and_then_at_full_rate() {
         let mut judging = Judging::new(PERIODS);
         assert_eq!((judging.looks(), judging.period()), (true, PERIODS.full));
-        judging.obey(0 * MS, PARKED);
+        judging.obey(Duration::ZERO, PARKED);
         assert_eq!((judging.looks(), judging.period()), (false, PERIODS.idle));
         judging.obey(1_000 * MS, DRIVES);
         assert_eq!((judging.looks(), judging.period()), (true, PERIODS.full));

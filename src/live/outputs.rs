@@ -91,9 +91,10 @@ mod tests {
 
         fn answer(&self) -> io::Result<()> {
             let is_full = self.0.lock().unwrap().1;
-            is_full
-                .then_some(Err(io::ErrorKind::StorageFull.into()))
-                .unwrap_or(Ok(()))
+            if is_full {
+                return Err(io::ErrorKind::StorageFull.into());
+            }
+            Ok(())
         }
     }
 
