@@ -2,6 +2,8 @@
 
 mod spec;
 
+pub(crate) mod vectors;
+
 pub mod preprocess;
 
 pub mod encoder;

@@ -2,7 +2,10 @@
 
 pub mod gap;
 
+mod nominal;
+
 mod file;
 mod pretty;
 
 pub use file::*;
+pub use nominal::*;

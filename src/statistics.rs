@@ -2,5 +2,7 @@
 
 pub mod quantile;
 
+pub mod random;
+
 pub mod bootstrap;
 pub mod event_rate;

@@ -11,6 +11,8 @@ mod evaluate;
 mod evidence;
 mod fuzz;
 mod hard_cases;
+mod lab;
+mod layers;
 mod merge;
 mod monitor;
 mod oracle;

@@ -2,13 +2,14 @@
 
 use super::pixels::Pixels;
 use super::{Frame, FrameSource, Picture, SourceError, time_of};
+use crate::statistics::random::SplitMix64;
 
 const SIZE: (u32, u32) = (320, 160);
 const FPS: f64 = 10.0;
 
 /// Uniform random RGB pixels, `random:seed=1&frames=60`.
 pub struct RandomSource {
-    state: u64,
+    random: SplitMix64,
     next: u64,
     count: u64,
 }
@@ -16,7 +17,7 @@ pub struct RandomSource {
 impl RandomSource {
     pub fn parse(name: &str, spec: &str) -> Result<Self, SourceError> {
         let mut source = Self {
-            state: 1,
+            random: SplitMix64::new(1),
             next: 0,
             count: 60,
         };
@@ -26,7 +27,9 @@ impl RandomSource {
                 wanted: format!("{parameter:?} is not seed=N or frames=1..100000"),
             };
             match parameter.split_once('=') {
-                Some(("seed", value)) => source.state = value.parse().map_err(|_| wrong())?,
+                Some(("seed", value)) => {
+                    source.random = SplitMix64::new(value.parse().map_err(|_| wrong())?);
+                }
                 Some(("frames", value)) => {
                     source.count = value
                         .parse()
@@ -39,15 +42,6 @@ impl RandomSource {
         }
         Ok(source)
     }
-
-    /// SplitMix64 (Steele, Lea and Flood 2014).
-    fn next_bits(&mut self) -> u64 {
-        self.state = self.state.wrapping_add(0x9E37_79B9_7F4A_7C15);
-        let mut z = self.state;
-        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-        z ^ (z >> 31)
-    }
 }
 
 impl FrameSource for RandomSource {
@@ -59,7 +53,7 @@ impl FrameSource for RandomSource {
         self.next += 1;
         let bytes = SIZE.0 as usize * SIZE.1 as usize * 3;
         let rgb = (0..bytes.div_ceil(8))
-            .flat_map(|_| self.next_bits().to_le_bytes())
+            .flat_map(|_| self.random.bits().to_le_bytes())
             .take(bytes)
             .collect();
         Ok(Some(Frame {

@@ -6,7 +6,8 @@
 use serde::{Deserialize, Serialize};
 
 use crate::capture::undefined::Undefined;
-use crate::model::encoder::{FeatureMap, Kernel};
+use crate::model::encoder::FeatureMap;
+use crate::model::vectors::Vectors;
 
 /// Energy of one block, `[height, width]`, row by row; finite, never negative, and not everywhere the same.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -49,7 +50,7 @@ pub fn energy_from_features(
     (map.width, map.height) = (width, height);
     map.energy.clear();
     map.energy.resize(cells, 0.0);
-    Kernel::fastest().vectorised(
+    Vectors::fastest().vectorised(
         #[inline(always)]
         || {
             for channel in features.activations.chunks_exact(cells) {

@@ -10,8 +10,9 @@ use crate::capture::undefined::Undefined;
 use crate::features::attention::{EnergyMap, common_size, energy_from_features};
 use crate::features::image_quality::{ImageQuality, QualityMeter};
 use crate::features::lane::LaneMask;
-use crate::model::encoder::{Encoder, EncoderError, EncoderSession, FeatureMap, Kernel, turned};
+use crate::model::encoder::{Encoder, EncoderError, EncoderSession, FeatureMap};
 use crate::model::preprocess::{Preprocessing, Preprocessor};
+use crate::model::vectors::{Vectors, turned};
 
 /// Hears the name of each stage of the chain when a frame has passed it: `health`, `preprocess`, `quality`, `encoder`,
 /// `energy`, `histogram`, `detector`.
@@ -135,7 +136,7 @@ impl EnergyStage {
 impl BlockMeans {
     /// Takes over a block's feature map; allocates only when the number of channels changes.
     pub fn take(&mut self, features: &FeatureMap<'_>) {
-        Kernel::fastest().vectorised(
+        Vectors::fastest().vectorised(
             #[inline(always)]
             || self.take_with_vectors(features),
         );
@@ -314,7 +315,7 @@ mod tests {
         for shape in [[5, 20, 40], [2, 9, 33], [1, 4, 12]] {
             let values = (0..shape.iter().product()).map(|i| (i as f32 * 0.7).sin());
             let activations = &values.collect::<Vec<f32>>()[..];
-            let of_kernel = |kernel: Kernel| {
+            let of_kernel = |kernel: Vectors| {
                 let mut means = BlockMeans::default();
                 kernel.vectorised(
                     #[inline(always)]
@@ -322,8 +323,12 @@ mod tests {
                 );
                 means
             };
-            for kernel in Kernel::available() {
-                assert_eq!(of_kernel(kernel), of_kernel(Kernel::Portable), "{kernel:?}");
+            for kernel in Vectors::available() {
+                assert_eq!(
+                    of_kernel(kernel),
+                    of_kernel(Vectors::Portable),
+                    "{kernel:?}"
+                );
             }
         }
     }

@@ -1,7 +1,7 @@
 //! What the encoder saw → how dark, flat, clipped and blurred it is: numbers to read beside a verdict, never a verdict.
 
-use crate::model::encoder::Kernel;
 use crate::model::preprocess::Preprocessing;
+use crate::model::vectors::Vectors;
 
 /// Luma at most this much from black or white is clipped, of 1: two steps of 255, what rounding and resizing leave of a
 /// clipped pixel.
@@ -48,7 +48,7 @@ impl QualityMeter {
     /// Of the encoder's input, `[3, height, width]`, normalised RGB.
     pub fn measure(&mut self, input: &[f32]) -> ImageQuality {
         let mut measured = ImageQuality::default();
-        Kernel::fastest().vectorised(
+        Vectors::fastest().vectorised(
             #[inline(always)]
             || measured = self.measure_with_vectors(input),
         );

@@ -9,6 +9,7 @@ pub mod false_alarms;
 pub mod field_sets;
 pub mod lane_failure;
 pub mod paper_table;
+mod ranking;
 mod resampling;
 pub mod separation;
 pub mod speed_error;

@@ -8,6 +8,8 @@
     clippy::print_stdout
 )]
 
+mod script;
+
 use std::cell::RefCell;
 use std::collections::VecDeque;
 use std::io::{self, Write};
@@ -38,6 +40,9 @@ use crate::monitor::rate::Periods;
 use crate::record::evidence::{Message, Recorder};
 use crate::record::journal::{self, About, Journal};
 use crate::reference::Reference;
+use crate::statistics::random::SplitMix64;
+
+use script::{Dice, Disk, Event, Road, Script, SharedDisk, Sink, Wire};
 
 const MS: Duration = Duration::from_millis(1);
 /// A step of the script: the shortest time between two status frames.
@@ -54,162 +59,6 @@ const PERIODS: Periods = Periods {
 /// Without a verdict for this long there is none on the bus either: 500 ms, and the judge's wait.
 const SILENT: Duration = Duration::from_millis(550);
 const SPEED_ID: u16 = 0x1A0;
-
-/// Random numbers (SplitMix64, Steele et al. 2014).
-struct Dice(u64);
-
-impl Dice {
-    fn below(&mut self, n: u64) -> u64 {
-        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
-        let mut mixed = self.0;
-        mixed = (mixed ^ (mixed >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-        mixed = (mixed ^ (mixed >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-        (mixed ^ (mixed >> 31)) % n
-    }
-
-    /// Once in so many times.
-    fn once_in(&mut self, n: u64) -> bool {
-        self.below(n) == 0
-    }
-}
-
-/// What happens outside, in the order in which it does.
-#[derive(Debug)]
-enum Event {
-    Sent(Duration, CanFrame),
-    Said(Verdict),
-}
-
-/// What bus and teller share with the script.
-#[derive(Default)]
-struct Wire {
-    events: VecDeque<Event>,
-    refuses: bool,
-    busy: bool,
-    heard: VecDeque<CanFrame>,
-}
-
-struct Sink(Rc<RefCell<Wire>>);
-
-impl WarningSink for Sink {
-    fn send(&mut self, at: Duration, frame: &CanFrame) -> Result<(), SinkError> {
-        let mut wire = self.0.borrow_mut();
-        if wire.refuses {
-            return Err(SinkError::Refused {
-                sink: "bus".to_owned(),
-                source: io::ErrorKind::NetworkDown.into(),
-            });
-        }
-        wire.events.push_back(Event::Sent(at, *frame));
-        Ok(())
-    }
-
-    fn is_ready(&mut self, _now: Duration) -> bool {
-        !self.0.borrow().busy
-    }
-
-    fn receive(&mut self) -> Option<CanFrame> {
-        self.0.borrow_mut().heard.pop_front()
-    }
-}
-
-#[derive(Default)]
-struct Disk {
-    bytes: Vec<u8>,
-    full: bool,
-}
-
-#[derive(Clone, Default)]
-struct SharedDisk(Arc<Mutex<Disk>>);
-
-impl Write for SharedDisk {
-    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        let mut disk = self.0.lock().unwrap();
-        if disk.full {
-            return Err(io::ErrorKind::StorageFull.into());
-        }
-        disk.bytes.extend(bytes);
-        Ok(bytes.len())
-    }
-
-    fn flush(&mut self) -> io::Result<()> {
-        Ok(())
-    }
-}
-
-/// What the road shows.
-#[derive(Clone, Copy, Debug, PartialEq)]
-enum Road {
-    Nominal,
-    Evident,
-    Alternating,
-    Drifting,
-    Black,
-}
-
-/// What goes on outside, until something else does.
-struct Script {
-    road: Road,
-    /// Time from one frame of the camera to the next; `None` of one that gives nothing.
-    frames_every: Option<Duration>,
-    /// From taking a frame to its verdict.
-    judging_takes: Duration,
-    standing: Option<bool>,
-    disk_full: bool,
-    /// Nobody takes evidence off its queue.
-    evidence_waits: bool,
-}
-
-impl Script {
-    /// Changes something now and then; most of the time all is well.
-    fn change(&mut self, dice: &mut Dice, wire: &mut Wire) {
-        if dice.once_in(100) {
-            let well = dice.once_in(2);
-            self.road = match dice.below(8) {
-                0 | 1 => Road::Evident,
-                2 => Road::Alternating,
-                3 => Road::Drifting,
-                4 => Road::Black,
-                _ => Road::Nominal,
-            };
-            self.frames_every = match dice.below(12) {
-                _ if well => Some(33 * MS),
-                0 => None,
-                1 => Some(600 * MS),
-                2 => Some(1_000 * MS),
-                _ => Some(100 * MS),
-            };
-            self.judging_takes = match dice.below(12) {
-                _ if well => 5 * MS,
-                0 => 300 * MS,
-                1 => 490 * MS,
-                2 => 620 * MS,
-                3 if dice.once_in(10) => 8_000 * MS,
-                _ => 5 * MS,
-            };
-            self.standing = match dice.below(6) {
-                0 => Some(true),
-                1 => None,
-                _ => Some(false),
-            };
-            self.disk_full = dice.once_in(20);
-            self.evidence_waits = dice.once_in(10);
-            wire.refuses = dice.once_in(10);
-            wire.busy = dice.once_in(10);
-        }
-    }
-
-    /// How long the program, with all its threads, is stopped now.
-    fn pause(&self, dice: &mut Dice) -> Duration {
-        match dice.below(4_000) {
-            0 => 800 * MS,
-            1 => 1_500 * MS,
-            2 => 30_000 * MS,
-            3 => 600_000 * MS,
-            _ => Duration::ZERO,
-        }
-    }
-}
 
 /// What the script knows to be true, to hold the loop's words against.
 #[derive(Default)]
@@ -748,7 +597,9 @@ fn whatever_happens_the_loop_keeps_its_promises() {
     let reference = Reference::read(None).unwrap();
     let (mut entries, mut statuses) = (0, 0);
     for run in 0..steps.div_ceil(STEPS_A_RUN) {
-        let dice = Dice(seed.wrapping_mul(1_000_003).wrapping_add(run));
+        let dice = Dice(SplitMix64::new(
+            seed.wrapping_mul(1_000_003).wrapping_add(run),
+        ));
         let mut world = World::new(dice, &reference);
         world.begin();
         for _ in 0..STEPS_A_RUN.min(steps - run * STEPS_A_RUN) {

@@ -11,19 +11,21 @@
 //!         encoder                lowering, graph           plan, layout     buffers, steps, kernel
 //! ```
 
-use std::cell::Cell;
 use std::ops::Deref;
-use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 
 use sha2::{Digest, Sha256};
 use tract_onnx::prelude::*;
-use tract_onnx::tract_hir::infer::{Factoid, GenericFactoid, InferenceModelExt, ShapeFactoid};
+use tract_onnx::tract_hir::infer::InferenceModelExt;
 
+use crate::model::vectors::Vectors;
 use crate::model::{ModelSpec, TAPS_MAX};
 
 mod buffers;
+mod error;
 mod graph;
+mod guard;
+mod inference;
 mod kernel;
 mod layout;
 mod limits;
@@ -34,7 +36,10 @@ mod steps;
 mod tests;
 
 use buffers::Buffers;
-pub(crate) use kernel::{Kernel, turned};
+pub use error::EncoderError;
+use guard::contained;
+pub use guard::in_tract;
+use inference::{admits, broken_constant, largest, listed, root};
 use plan::Plan;
 
 /// Most elements of one value inside a model: half a GiB of 32-bit floats, eight times the largest input.
@@ -46,69 +51,6 @@ const DIFFERENCE_MAX: f32 = 1e-4;
 
 /// Most outputs of an encoder: the taps and the lane head.
 const OUTPUTS_MAX: usize = TAPS_MAX + 1;
-
-/// A model that cannot be used.
-#[derive(Debug, thiserror::Error)]
-pub enum EncoderError {
-    /// The bytes are not an ONNX model that tract can read.
-    #[error("{model}: not a usable ONNX model: {why}")]
-    Onnx {
-        /// File or built-in name.
-        model: String,
-        /// What was found.
-        why: String,
-    },
-    /// A tap that the model does not have.
-    #[error("{model}: no tap named {tap:?}; the model's values are {known}")]
-    NoTap {
-        /// File or built-in name.
-        model: String,
-        /// As asked for.
-        tap: String,
-        /// Names that exist: the outputs, then the inner values in the order of the graph.
-        known: String,
-    },
-    /// The model's input is not a picture of the wanted size.
-    #[error("{model}: input {input} is {found}; wanted [1, 3, {height}, {width}]")]
-    Input {
-        /// File or built-in name.
-        model: String,
-        /// Name of the input.
-        input: String,
-        /// Its shape in the file.
-        found: String,
-        /// Wanted height, pixels.
-        height: u32,
-        /// Wanted width, pixels.
-        width: u32,
-    },
-    /// A tap that is no stack of maps.
-    #[error(
-        "{model}: tap {tap} has shape {found}; wanted [1, channels, height, width] of at least 2 by 2 cells"
-    )]
-    TapShape {
-        /// File or built-in name.
-        model: String,
-        /// Name of the tap.
-        tap: String,
-        /// Its shape.
-        found: String,
-    },
-    /// A lane head that does not answer pixel by pixel.
-    #[error("{model}: lane output {lane} has shape {found}; wanted [1, 1, {height}, {width}]")]
-    LaneShape {
-        /// File or built-in name.
-        model: String,
-        /// Name of the output.
-        lane: String,
-        /// Its shape.
-        found: String,
-        /// Height of the input, pixels.
-        height: usize,
-        /// Width of the input, pixels.
-        width: usize,
-    },
-}
 
 /// A loaded model, shared between threads.
 #[derive(Clone)]
@@ -181,7 +123,7 @@ impl<'a> Deref for FeatureMaps<'a> {
 pub fn products_in_registers(count: u64) -> u64 {
     let in_round = (kernel::REGISTERS * layout::LANES) as u64;
     let rounds = count.div_ceil(in_round);
-    std::hint::black_box(Kernel::available()[0].products_in_registers(rounds));
+    std::hint::black_box(Vectors::available()[0].products_in_registers(rounds));
     rounds * in_round
 }
 
@@ -470,7 +412,7 @@ fn feature_map(output: &Tensor) -> Result<FeatureMap<'_>, String> {
 /// Our own plan for a model, if it knows all of the model's operators.
 fn own_plan(model: &TypedModel, name: &str) -> Option<Plan> {
     let planned = contained(|| {
-        let kernel = Kernel::available()[0];
+        let kernel = Vectors::available()[0];
         lowering::lower(model).and_then(|graph| Plan::new(&graph.fused(), kernel))
     });
     planned
@@ -574,103 +516,4 @@ fn check_shapes(
         }
     }
     Ok(())
-}
-
-thread_local! {
-    static IN_TRACT: Cell<bool> = const { Cell::new(false) };
-}
-
-/// Whether this thread is loading a model or inside tract, where a panic is caught and becomes an error: a panic hook may
-/// stay silent.
-pub fn in_tract() -> bool {
-    IN_TRACT.get()
-}
-
-/// Runs tract's code, which panics on some malformed models, or plans and tries our own, and turns a panic into an error.
-fn contained<T>(work: impl FnOnce() -> T) -> Result<T, String> {
-    let before = IN_TRACT.replace(true);
-    let outcome = catch_unwind(AssertUnwindSafe(work));
-    IN_TRACT.set(before);
-    outcome.map_err(|panic| {
-        let said = panic.downcast_ref::<String>().map(String::as_str);
-        let said = said
-            .or_else(|| panic.downcast_ref::<&str>().copied())
-            .unwrap_or_default();
-        format!(
-            "the inference engine gave up on it ({})",
-            said.lines().next().unwrap_or_default()
-        )
-    })
-}
-
-/// The value with the most elements among those whose shape is known.
-fn largest(model: &InferenceModel) -> Option<(String, u64)> {
-    let volume = |fact: &InferenceFact| {
-        let dims = fact.shape.concretize()?;
-        dims.iter().try_fold(1_u64, |volume, dim| {
-            Some(volume.saturating_mul(u64::try_from(dim.to_i64().ok()?).ok()?))
-        })
-    };
-    let nodes = model.nodes().iter();
-    nodes
-        .flat_map(|node| node.outputs.iter().map(move |output| (node, output)))
-        .filter_map(|(node, output)| Some((node.name.clone(), volume(&output.fact)?)))
-        .max_by_key(|&(_, volume)| volume)
-}
-
-/// Whether an input declared so takes pictures of this shape: what the file leaves open or gives a name is free.
-fn admits(declared: &ShapeFactoid, wanted: &[usize; 4]) -> bool {
-    let dims: Vec<_> = declared.dims().collect();
-    let rank_fits = dims.len() == wanted.len() || (declared.is_open() && dims.len() < wanted.len());
-    let fixed = |dim: &GenericFactoid<TDim>| dim.concretize().and_then(|dim| dim.to_i64().ok());
-    rank_fits
-        && dims.iter().zip(wanted).all(|(dim, &wanted)| {
-            fixed(dim).is_none_or(|found| usize::try_from(found) == Ok(wanted))
-        })
-}
-
-/// The first constant with a NaN, or with an infinity among other values (one alone may be a bound that is none). A ReLU
-/// of tract turns NaN into 0, so they would not show in the taps.
-fn broken_constant(model: &InferenceModel) -> Option<String> {
-    model.nodes().iter().find_map(|node| {
-        let value = node
-            .outputs
-            .iter()
-            .find_map(|output| output.fact.value.concretize())?;
-        let values = value.try_as_plain_ram().ok()?.as_slice::<f32>().ok()?;
-        let broken = values
-            .iter()
-            .any(|v| v.is_nan() || (v.is_infinite() && values.len() > 1));
-        broken.then(|| node.name.clone())
-    })
-}
-
-/// tract's chain of contexts in one line, the cause last.
-fn root(error: &TractError) -> String {
-    format!("{error:#}")
-        .lines()
-        .next()
-        .unwrap_or_default()
-        .chars()
-        .take(300)
-        .collect()
-}
-
-/// The names in order, shortened in the middle when there are many.
-fn listed<'a>(names: impl Iterator<Item = &'a String>) -> String {
-    let names: Vec<&str> = names
-        .map(String::as_str)
-        .filter(|name| !name.is_empty())
-        .collect();
-    const SHOWN: usize = 60;
-    if names.len() <= SHOWN {
-        return names.join(", ");
-    }
-    let (first, last) = (&names[..SHOWN / 2], &names[names.len() - SHOWN / 2..]);
-    format!(
-        "{}, … {} more …, {}",
-        first.join(", "),
-        names.len() - SHOWN,
-        last.join(", ")
-    )
 }

@@ -14,7 +14,7 @@ use serde::{Deserialize, Serialize};
 use crate::capture::Picture;
 use crate::capture::pixels::{Layout, PixelFormat, Pixels};
 use crate::capture::undefined::Undefined;
-use crate::model::encoder::Kernel;
+use crate::model::vectors::Vectors;
 use resampling::{Axis, Column, ROWS, turn_back};
 
 /// Name of the resize kernel, as written in references.
@@ -72,7 +72,7 @@ pub const CROP_NOTHING: [f64; 4] = [0.0, 0.0, 1.0, 1.0];
 /// Turns pictures into encoder input; keeps its buffers.
 pub struct Preprocessor {
     of: Preprocessing,
-    kernel: Kernel,
+    kernel: Vectors,
     /// For pictures of this layout.
     plan: Option<(Layout, Plan)>,
     /// Some output rows before and after their columns are summed up.
@@ -119,7 +119,7 @@ impl Preprocessor {
         let width = of.width as usize;
         Self {
             of: of.clone(),
-            kernel: Kernel::fastest(),
+            kernel: Vectors::fastest(),
             plan: None,
             wide: Vec::new(),
             short: std::array::from_fn(|_| vec![[0.0; ROWS]; width]),
@@ -501,9 +501,9 @@ mod tests {
                 preprocessor.kernel = kernel;
                 preprocessor.input(&pixels).unwrap().to_vec()
             };
-            for kernel in Kernel::available() {
+            for kernel in Vectors::available() {
                 assert!(
-                    of_kernel(kernel) == of_kernel(Kernel::Portable),
+                    of_kernel(kernel) == of_kernel(Vectors::Portable),
                     "{kernel:?}"
                 );
             }

@@ -11,7 +11,7 @@ use std::time::Duration;
 use crate::capture::pixels::Pixels;
 use crate::capture::undefined::Undefined;
 use crate::capture::{Frame, Place};
-use crate::model::encoder::Kernel;
+use crate::model::vectors::Vectors;
 
 /// A picture that stays the same for this long is frozen: the noise of a sensor changes every frame. The alarm waits as
 /// long again. Our own choice.
@@ -158,7 +158,7 @@ impl CameraHealth {
         let columns = width * brightness.a_pixel / brightness.step;
         self.columns.resize(columns, Column::default());
         let row_of = |cell: usize| cell * height / down;
-        let kernel = Kernel::fastest();
+        let kernel = Vectors::fastest();
         for (n, cells) in self.cells.chunks_exact_mut(across).enumerate() {
             let rows = row_of(n)..row_of(n + 1);
             for some in rows.clone().step_by(ROWS_MAX) {

@@ -1,5 +1,7 @@
 //! Intervals by resampling: drawing as many things as there are, with replacement, again and again.
 
+use super::random::SplitMix64;
+
 /// Resamples drawn for an interval: the ends of a 95 % interval then rest on 25 each.
 pub const ROUNDS: usize = 1_000;
 
@@ -41,47 +43,6 @@ pub fn rates(drives: &[(u64, f64)]) -> Vec<f64> {
         }
     };
     (0..ROUNDS).map(|_| round()).collect()
-}
-
-/// Random numbers after Steele, Lea and Flood, *Fast Splittable Pseudorandom Number Generators* (2014).
-pub struct SplitMix64(u64);
-
-impl SplitMix64 {
-    /// Numbers of a seed.
-    pub fn new(seed: u64) -> Self {
-        Self(seed)
-    }
-
-    /// Uniform from 0 to 255.
-    pub fn byte(&mut self) -> u8 {
-        self.next().to_be_bytes()[0]
-    }
-
-    /// How often each of `count` things comes when as many are drawn with replacement.
-    pub fn multiplicities(&mut self, count: usize) -> Vec<u32> {
-        let mut times = vec![0; count];
-        for _ in 0..count {
-            times[self.below(count)] += 1;
-        }
-        times
-    }
-
-    fn next(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-        z ^ (z >> 31)
-    }
-
-    /// Uniform from 0 to below `limit`.
-    pub fn below(&mut self, limit: usize) -> usize {
-        // The high half of a 64 by 64 bit product is below `limit`.
-        #[allow(clippy::cast_possible_truncation)]
-        {
-            ((u128::from(self.next()) * limit as u128) >> 64) as usize
-        }
-    }
 }
 
 #[cfg(test)]

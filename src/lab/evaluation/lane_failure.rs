@@ -5,17 +5,19 @@
 //! most: the condition grows once. All thresholds come from nominal drives that are judged nowhere, and the forecast
 //! `lane-risk` is also judged under kinds of condition that it was not fitted on.
 
+mod method;
+mod row;
+
 use rayon::prelude::*;
-use serde::{Deserialize, Serialize};
 
 use super::domain_detection::WITHIN_S;
+use super::ranking::{auroc, spearman};
 use super::resampling::binomial_interval;
-use crate::calibration::survey::{Keep, Survey, SurveyFrame};
+use crate::calibration::survey::{Keep, Survey};
 use crate::calibration::{
     Calibrated, CalibrationError, Domain, DriveScores, LabelledMeans, Wanted, calibrate,
     drive_scores, is_judging,
 };
-use crate::features::energies::BlockMeans;
 use crate::features::lane::Overlap;
 use crate::lab::labelled::{LabelledSurvey, loss, training_frames};
 use crate::lab::scene::{Condition, ConditionKind, DriveSpec, RAMP_S};
@@ -24,8 +26,11 @@ use crate::model::preprocess::Preprocessing;
 use crate::monitor::alarm::AlarmState;
 use crate::reference::Component;
 use crate::reference::gap::Metric;
-use crate::statistics::bootstrap::{ROUNDS, SplitMix64, percentile_interval};
+use crate::statistics::bootstrap::{ROUNDS, percentile_interval};
 use crate::statistics::event_rate::poisson_interval;
+use crate::statistics::random::SplitMix64;
+use method::Method;
+pub use row::LaneFailure;
 
 /// Frames a second of drives.
 const FPS: f64 = 5.0;
@@ -47,10 +52,6 @@ const FAILURE: f64 = 0.5;
 const BENIGN: f64 = 0.1;
 /// Severity from which on a condition is to be found, failure or not.
 pub(super) const SEVERE: f32 = 3.0;
-/// Length of the window, seconds.
-const WINDOW_S: f64 = 1.0;
-/// Of the quicker forecast.
-const SHORT_WINDOW_S: f64 = 0.4;
 /// A warning that comes so long after the onset is late, but comes.
 const LATE_S: f64 = 3.0;
 /// Entries into `Gap` an hour of nominal driving at which all are compared.
@@ -116,72 +117,6 @@ impl Sizes {
 /// Kinds of condition times severities.
 const CASES: u64 = 5 * ConditionKind::ALL.len() as u64;
 
-/// How one method foretells failures, with thresholds for one rate of false alarms.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-pub struct LaneFailure {
-    /// A metric, or a baseline.
-    pub method: String,
-    /// What the encoder's inner values are not needed for, or only their mean.
-    pub baseline: bool,
-    /// Entries into `Gap` an hour of nominal driving that the thresholds are made for.
-    pub wanted_per_hour: f64,
-    /// Seconds under a condition that were judged.
-    pub seconds: u64,
-    /// Seconds that had no score.
-    pub unjudged_seconds: u64,
-    /// Of them that failed.
-    pub failed_seconds: u64,
-    /// Area under the ROC curve of the score for failed seconds among those under a condition; 95 % interval by
-    /// resampling roads.
-    pub auroc: Option<f64>,
-    /// See `auroc`.
-    pub auroc_interval: Option<(f64, f64)>,
-    /// Rank correlation of the score with the loss, over the same seconds.
-    pub spearman: Option<f64>,
-    /// See `spearman`.
-    pub spearman_interval: Option<(f64, f64)>,
-    /// Drives with a failure.
-    pub failures: u64,
-    /// Those in which `Gap` was entered from 5 s before to 1 s after its onset.
-    pub found: u64,
-    /// Those in which it was entered in that time or until 3 s after the onset.
-    #[serde(default)]
-    pub found_late: u64,
-    /// Share of those found in time.
-    pub recall: Option<f64>,
-    /// 95 % interval (Wilson; the roads are fewer than the drives).
-    pub recall_interval: (f64, f64),
-    /// Median time from entering `Gap` to the onset of the failure, of those found, seconds.
-    pub lead_median_s: Option<f64>,
-    /// Drives with a condition that entered `Gap`.
-    pub alarmed: u64,
-    /// `found` as a share of them. Where a warning comes before the condition has begun to grow, as of a tunnel in sight, the
-    /// drive counts as found alone.
-    pub precision: Option<f64>,
-    /// Drives that kept 0.9 of their lane IoU.
-    pub benign: u64,
-    /// Those of them that entered `Gap`.
-    pub benign_alarmed: u64,
-    /// Share of them.
-    pub benign_share: Option<f64>,
-    /// 95 % interval (Wilson).
-    pub benign_interval: (f64, f64),
-    /// Drives under a condition of severity 3 or more.
-    pub severe: u64,
-    /// Those in which `Gap` was entered from the condition's beginning to 2 s after it had its severity, failure or not.
-    pub severe_found: u64,
-    /// 95 % interval of their share (Wilson).
-    pub severe_interval: (f64, f64),
-    /// Entries into `Gap` on the nominal drives that judge; of a forecast a kind, those of the loudest.
-    pub false_alarms: u64,
-    /// Their hours.
-    pub nominal_hours: f64,
-    /// Entries an hour.
-    pub false_alarms_per_hour: f64,
-    /// 95 % interval (Poisson, exact).
-    pub false_alarms_interval: (f64, f64),
-}
-
 /// What can go wrong.
 #[derive(Debug, thiserror::Error)]
 pub enum LaneFailureError {
@@ -243,111 +178,6 @@ pub fn rows(
         .map(|method| looked.rows_of(*method))
         .collect::<Result<Vec<_>, _>>()?;
     Ok(rows.concat())
-}
-
-/// What makes a score of a frame.
-#[derive(Clone, Copy, Debug, PartialEq)]
-enum Method {
-    /// A metric on all taps.
-    Metric(Metric),
-    /// The forecast `lane-risk`, each kind of condition judged by a forecast that was fitted on the others.
-    LaneRiskOfOtherKinds,
-    /// The forecast over a shorter window.
-    QuickLaneRisk,
-    /// Mean of the energy map over its largest value, tap by tap (the score of ThirdEye, Stocco et al. 2022).
-    MeanAttention,
-    /// Mean and standard deviation of the grey levels of the picture.
-    BrightnessAndContrast,
-}
-
-impl Method {
-    fn name(self) -> String {
-        match self {
-            Self::Metric(metric) => metric.to_string(),
-            Self::LaneRiskOfOtherKinds => format!("{}, fitted on other kinds", Metric::LaneRisk),
-            Self::QuickLaneRisk => format!("{}, window {SHORT_WINDOW_S} s", Metric::LaneRisk),
-            Self::MeanAttention => "mean attention".to_owned(),
-            Self::BrightnessAndContrast => "brightness and contrast".to_owned(),
-        }
-    }
-
-    fn is_baseline(self) -> bool {
-        matches!(
-            self,
-            Self::MeanAttention | Self::BrightnessAndContrast | Self::Metric(Metric::Paper)
-        )
-    }
-
-    fn metric(self) -> Metric {
-        match self {
-            Self::Metric(metric) => metric,
-            Self::LaneRiskOfOtherKinds | Self::QuickLaneRisk => Metric::LaneRisk,
-            Self::MeanAttention | Self::BrightnessAndContrast => Metric::Mahalanobis,
-        }
-    }
-
-    /// Length of its window, seconds.
-    fn window_s(self) -> f64 {
-        match self {
-            Self::QuickLaneRisk => SHORT_WINDOW_S,
-            _ => WINDOW_S,
-        }
-    }
-
-    /// Names of the blocks that it looks at.
-    fn taps(self, taps: &[String]) -> Vec<String> {
-        match self {
-            Self::Metric(_) | Self::LaneRiskOfOtherKinds | Self::QuickLaneRisk => taps.to_vec(),
-            Self::MeanAttention | Self::BrightnessAndContrast => vec![self.name()],
-        }
-    }
-
-    /// A drive as the method sees it.
-    fn survey(self, drive: &LabelledSurvey) -> Survey {
-        let frames = drive.survey.frames.iter().zip(&drive.grey);
-        Survey {
-            source: drive.survey.source.clone(),
-            times: drive.survey.times.clone(),
-            frames: frames
-                .map(|(frame, grey)| match frame {
-                    Ok(frame) => Ok(self.frame(frame, *grey)),
-                    Err(why) => Err(why.clone()),
-                })
-                .collect(),
-            common_size: drive.survey.common_size,
-        }
-    }
-
-    #[allow(clippy::cast_precision_loss)]
-    fn frame(self, frame: &SurveyFrame, grey: [f64; 2]) -> SurveyFrame {
-        let plain = |energy: Vec<f64>, peak: f64| SurveyFrame {
-            maps: Vec::new(),
-            peaks: vec![peak],
-            means: vec![BlockMeans {
-                activation: Vec::new(),
-                energy,
-            }],
-        };
-        match self {
-            Self::Metric(metric) => SurveyFrame {
-                maps: match metric.divergence() {
-                    Some(_) => frame.maps.clone(),
-                    None => Vec::new(),
-                },
-                ..frame.clone()
-            },
-            Self::LaneRiskOfOtherKinds | Self::QuickLaneRisk => {
-                Self::Metric(Metric::LaneRisk).frame(frame, grey)
-            }
-            Self::MeanAttention => {
-                let means = frame.maps.iter().zip(&frame.peaks).map(|(map, peak)| {
-                    map.energy.iter().sum::<f64>() / (map.energy.len() as f64 * peak)
-                });
-                plain(means.collect(), 1.0)
-            }
-            Self::BrightnessAndContrast => plain(grey.to_vec(), 255.0),
-        }
-    }
 }
 
 /// Thresholds of a method, and what it says of the drives that judge them.
@@ -719,7 +549,7 @@ impl Ranks {
 
     /// Over all roads.
     pub(super) fn auroc(&self) -> Option<f64> {
-        auroc(&self.by_road.concat())
+        auroc(&self.by_road.concat(), FAILURE)
     }
 
     fn row(&self, method: Method) -> LaneFailure {
@@ -731,7 +561,7 @@ impl Ranks {
                 .flat_map(|_| &self.by_road[dice.below(self.by_road.len())])
                 .copied()
                 .collect();
-            aurocs.extend(auroc(&drawn));
+            aurocs.extend(auroc(&drawn, FAILURE));
             spearmans.extend(spearman(&drawn));
         }
         LaneFailure {
@@ -741,7 +571,7 @@ impl Ranks {
             seconds: all.len() as u64,
             unjudged_seconds: self.unjudged,
             failed_seconds: all.iter().filter(|(_, loss)| *loss > FAILURE).count() as u64,
-            auroc: auroc(&all),
+            auroc: auroc(&all, FAILURE),
             auroc_interval: percentile_interval(aurocs),
             spearman: spearman(&all),
             spearman_interval: percentile_interval(spearmans),
@@ -768,70 +598,10 @@ impl Ranks {
     }
 }
 
-/// Ranks from 1; equal values share the mean of theirs.
-#[allow(clippy::cast_precision_loss)]
-fn ranks(values: &[f64]) -> Vec<f64> {
-    let mut order: Vec<usize> = (0..values.len()).collect();
-    order.sort_by(|&a, &b| values[a].total_cmp(&values[b]));
-    let mut ranks = vec![0.0; values.len()];
-    let mut below = 0;
-    for tied in order.chunk_by(|&a, &b| values[a].total_cmp(&values[b]).is_eq()) {
-        let rank = below as f64 + 0.5 * (tied.len() as f64 + 1.0);
-        tied.iter().for_each(|&index| ranks[index] = rank);
-        below += tied.len();
-    }
-    ranks
-}
-
-/// Area under the ROC curve of scores for losses that are failures.
-#[allow(clippy::cast_precision_loss)]
-fn auroc(seconds: &[(f64, f64)]) -> Option<f64> {
-    let scores: Vec<f64> = seconds.iter().map(|(score, _)| *score).collect();
-    let ranks = ranks(&scores);
-    let failed = seconds
-        .iter()
-        .zip(&ranks)
-        .filter(|((_, loss), _)| *loss > FAILURE);
-    let (count, sum) = failed.fold((0, 0.0), |(n, sum), (_, rank)| (n + 1, sum + rank));
-    let others = seconds.len() - count;
-    let (n, m) = (count as f64, others as f64);
-    (count > 0 && others > 0).then(|| (sum - n * (n + 1.0) / 2.0) / (n * m))
-}
-
-/// Rank correlation of scores with losses.
-#[allow(clippy::cast_precision_loss)]
-fn spearman(seconds: &[(f64, f64)]) -> Option<f64> {
-    let (scores, losses): (Vec<f64>, Vec<f64>) = seconds.iter().copied().unzip();
-    let (a, b) = (ranks(&scores), ranks(&losses));
-    let mean = (seconds.len() as f64 + 1.0) / 2.0;
-    let sum = |x: &[f64], y: &[f64]| -> f64 {
-        let parts = x.iter().zip(y).map(|(x, y)| (x - mean) * (y - mean));
-        parts.sum()
-    };
-    let scale = (sum(&a, &a) * sum(&b, &b)).sqrt();
-    (scale > 0.0).then(|| sum(&a, &b) / scale)
-}
-
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used, clippy::float_cmp)]
     use super::*;
-
-    #[test]
-    fn ranks_of_ties_are_shared() {
-        assert_eq!(ranks(&[3.0, 1.0, 3.0, 2.0]), [3.5, 1.0, 3.5, 2.0]);
-    }
-
-    #[test]
-    fn auroc_and_spearman_by_hand() {
-        let seconds = [(0.1, 0.0), (0.4, 0.9), (0.3, 0.6), (0.35, 0.2)];
-        // Of the 2 x 2 pairs one is the wrong way round.
-        assert_eq!(auroc(&seconds), Some(0.75));
-        // Rank differences 0, 0, 1, 1: 1 - 6 x 2 / (4 x 15).
-        assert!((spearman(&seconds).unwrap() - 0.8).abs() < 1e-12);
-        assert_eq!(auroc(&seconds[..1]), None);
-        assert_eq!(spearman(&seconds[..1]), None);
-    }
 
     #[test]
     fn an_entry_warns_from_5_s_before_to_1_s_after() {

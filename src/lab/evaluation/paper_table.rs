@@ -17,8 +17,9 @@ use crate::features::histogram::Binning;
 use crate::reference::Nominal;
 use crate::reference::gap::moments::{self, EnergyNorm, Moments, energy_levels};
 use crate::reference::gap::{Divergence, Metric};
-use crate::statistics::bootstrap::{ROUNDS, SplitMix64, percentile_interval};
+use crate::statistics::bootstrap::{ROUNDS, percentile_interval};
 use crate::statistics::quantile::median;
+use crate::statistics::random::SplitMix64;
 
 /// One reference, metric and tap.
 #[derive(Clone, Debug, Serialize, Deserialize)]

@@ -1,7 +1,8 @@
 //! Intervals by resampling whole scenes.
 
 use crate::features::lane::Overlap;
-use crate::statistics::bootstrap::{ROUNDS, SplitMix64, percentile_interval};
+use crate::statistics::bootstrap::{ROUNDS, percentile_interval};
+use crate::statistics::random::SplitMix64;
 
 /// 95 % percentile interval of the pooled intersection over union, from resampling scenes with replacement; the same for
 /// the same scenes on every machine. `None` when no resample holds any lane.

@@ -6,7 +6,8 @@
 //! values as there are blocks.
 
 use super::resampling::{Z, binomial_interval};
-use crate::statistics::bootstrap::{ROUNDS, SplitMix64, percentile_interval};
+use crate::statistics::bootstrap::{ROUNDS, percentile_interval};
+use crate::statistics::random::SplitMix64;
 
 /// Share of nominal windows that may be above the threshold.
 pub const FALSE_POSITIVES: f64 = 0.05;

@@ -125,6 +125,6 @@ impl Script {
 }
 
 fn noise_pixels(seed: u64, sequence: u64, pixels: usize) -> Vec<u8> {
-    let mut dice = crate::statistics::bootstrap::SplitMix64::new(seed ^ (sequence << 20));
+    let mut dice = crate::statistics::random::SplitMix64::new(seed ^ (sequence << 20));
     (0..3 * pixels).map(|_| dice.byte()).collect()
 }

@@ -1,9 +1,9 @@
 //! One thread's memory for a plan, and the loop over its steps.
 
-use super::kernel::Kernel;
 use super::layout::Planar;
 use super::plan::{Form, Input, Place, Plan, Step, Work};
 use super::steps::{self, View};
+use crate::model::vectors::Vectors;
 
 /// One thread's buffers for a plan.
 pub struct Buffers {
@@ -55,7 +55,7 @@ impl Buffers {
         }
     }
 
-    fn step(&mut self, kernel: Kernel, planar: Planar, step: &Step) {
+    fn step(&mut self, kernel: Vectors, planar: Planar, step: &Step) {
         match step {
             Step::Compute { work, output } => {
                 // What is written is taken out while everything else is read.
@@ -103,7 +103,13 @@ impl Buffers {
 
     /// All but convolutions, which choose their instructions themselves.
     #[inline(always)]
-    fn compute(&mut self, kernel: Kernel, planar: Planar, work: &Work, output: (&mut [f32], View)) {
+    fn compute(
+        &mut self,
+        kernel: Vectors,
+        planar: Planar,
+        work: &Work,
+        output: (&mut [f32], View),
+    ) {
         match work {
             Work::Convolve { .. } => {}
             Work::PoolBlocks(window, activation, input) => {

@@ -1,17 +1,21 @@
 //! One row of one block of a convolution: the inner loops, for the instruction sets of this processor.
 //!
-//! The only file with unsafe code: instructions that not every processor has, and loads without bounds checks.
-//! [`Kernel::run`] proves every load and store of the loops before it enters them.
+//! Unsafe code: instructions that not every processor has, and loads without bounds checks.
+//! [`Vectors::run`] proves every load and store of the loops before it enters them.
 //!
 //! A tile of a few neighbouring pixels by [`LANES`] output channels stays in registers while all products are added to it;
 //! each product is one weight vector times one input value. Every output is summed in the same order whatever the tile, and
 //! products are fused with their sums on AVX-512, AVX2 and 64-bit ARM, so these agree to the bit.
 #![allow(unsafe_code)]
 
+#[cfg(target_arch = "x86_64")]
+mod x86;
+
 use super::graph::Activation;
 use super::layout::LANES;
+use crate::model::vectors::Vectors;
 
-/// Vectors of products in a round of [`Kernel::products_in_registers`].
+/// Vectors of products in a round of [`Vectors::products_in_registers`].
 pub const REGISTERS: usize = 12;
 
 /// A run of neighbouring input values of every pixel, and the weight vectors that they are multiplied with.
@@ -59,85 +63,7 @@ pub struct Rivals<'a> {
     pub output: &'a mut [f32],
 }
 
-/// Inner loops for one set of instructions.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Kernel {
-    /// 512-bit vectors with fused products.
-    #[cfg(target_arch = "x86_64")]
-    Avx512,
-    /// 256-bit vectors with fused products.
-    #[cfg(target_arch = "x86_64")]
-    Avx2,
-    /// What every processor of this architecture has; the compiler chooses the instructions.
-    Portable,
-}
-
-impl Kernel {
-    /// All that this processor can run, fastest first.
-    pub fn available() -> Vec<Self> {
-        let all = [
-            #[cfg(target_arch = "x86_64")]
-            Self::Avx512,
-            #[cfg(target_arch = "x86_64")]
-            Self::Avx2,
-            Self::Portable,
-        ];
-        all.into_iter()
-            .filter(|kernel| kernel.runs_here())
-            .collect()
-    }
-
-    /// The fastest that this processor can run. Allocates nothing.
-    pub fn fastest() -> Self {
-        #[cfg(target_arch = "x86_64")]
-        for kernel in [Self::Avx512, Self::Avx2] {
-            if kernel.runs_here() {
-                return kernel;
-            }
-        }
-        Self::Portable
-    }
-
-    fn runs_here(self) -> bool {
-        match self {
-            #[cfg(target_arch = "x86_64")]
-            Self::Avx512 => {
-                is_x86_feature_detected!("avx512f")
-                    && is_x86_feature_detected!("avx512vl")
-                    && is_x86_feature_detected!("avx512dq")
-            }
-            #[cfg(target_arch = "x86_64")]
-            Self::Avx2 => is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma"),
-            Self::Portable => true,
-        }
-    }
-
-    /// For people.
-    pub fn name(self) -> &'static str {
-        match self {
-            #[cfg(target_arch = "x86_64")]
-            Self::Avx512 => "AVX-512",
-            #[cfg(target_arch = "x86_64")]
-            Self::Avx2 => "AVX2",
-            Self::Portable => std::env::consts::ARCH,
-        }
-    }
-
-    /// Does some work with the vectors of these instructions, as far as the compiler finds them in it: what is inlined into the
-    /// work is compiled for them.
-    #[inline]
-    pub fn vectorised(self, work: impl FnOnce()) {
-        match self {
-            // SAFETY: AVX-512 and AVX2 come from `available` and `fastest` alone, which have asked the processor.
-            #[cfg(target_arch = "x86_64")]
-            Self::Avx512 => unsafe { x86::with_avx512(work) },
-            // SAFETY: as above.
-            #[cfg(target_arch = "x86_64")]
-            Self::Avx2 => unsafe { x86::with_avx2(work) },
-            Self::Portable => work(),
-        }
-    }
-
+impl Vectors {
     /// Adds `rounds` times [`REGISTERS`] vectors of products without touching memory: what this processor can do at most.
     pub fn products_in_registers(self, rounds: u64) -> f32 {
         // SAFETY: touches nothing but two arrays of its own. The instructions are those of `run`.
@@ -214,19 +140,6 @@ impl Kernel {
     }
 }
 
-/// Rows and columns exchanged.
-#[inline(always)]
-pub fn turned(square: [[f32; 4]; 4]) -> [[f32; 4]; 4] {
-    #[cfg(target_arch = "x86_64")]
-    {
-        x86::turned(square)
-    }
-    #[cfg(not(target_arch = "x86_64"))]
-    {
-        std::array::from_fn(|i| std::array::from_fn(|j| square[j][i]))
-    }
-}
-
 /// The larger of two; NaN when one is.
 #[inline(always)]
 pub fn larger(a: f32, b: f32) -> f32 {
@@ -234,7 +147,7 @@ pub fn larger(a: f32, b: f32) -> f32 {
 }
 
 /// # Safety
-/// See [`Kernel::rival`].
+/// See [`Vectors::rival`].
 #[inline(always)]
 unsafe fn rival<V: Vector>(row: Rivals<'_>) {
     let mut input = row.input.as_ptr();
@@ -296,7 +209,7 @@ trait Vector: Copy {
 /// The row in tiles of `P` pixels, what is left in tiles of `Q`, what is then left pixel by pixel.
 ///
 /// # Safety
-/// See [`Kernel::run`].
+/// See [`Vectors::run`].
 #[inline(always)]
 unsafe fn row_of_tiles<V: Vector, const P: usize, const Q: usize>(row: Row<'_>) {
     // SAFETY: as the caller's.
@@ -312,7 +225,7 @@ unsafe fn row_of_tiles<V: Vector, const P: usize, const Q: usize>(row: Row<'_>) 
 }
 
 /// # Safety
-/// See [`Kernel::run`].
+/// See [`Vectors::run`].
 #[inline(always)]
 unsafe fn tiles<V: Vector, const P: usize, const Q: usize, const STEP: usize>(row: Row<'_>) {
     let width = row.output.len() / LANES;
@@ -345,7 +258,7 @@ unsafe fn tiles<V: Vector, const P: usize, const Q: usize, const STEP: usize>(ro
 }
 
 /// # Safety
-/// See [`Kernel::run`]; `first + P` is at most the width of the row, and `output` its first output.
+/// See [`Vectors::run`]; `first + P` is at most the width of the row, and `output` its first output.
 #[inline(always)]
 unsafe fn tile<V: Vector, const P: usize, const STEP: usize>(
     row: &Row<'_>,
@@ -452,7 +365,7 @@ impl Vector for Lanes {
 }
 
 /// # Safety
-/// See [`Kernel::run`].
+/// See [`Vectors::run`].
 unsafe fn portable(row: Row<'_>) {
     // SAFETY: as the caller's. Sixteen registers of four lanes hold two pixels and a weight; ARM has 32.
     unsafe {
@@ -460,253 +373,6 @@ unsafe fn portable(row: Row<'_>) {
             row_of_tiles::<Lanes, 5, 2>(row);
         } else {
             row_of_tiles::<Lanes, 2, 1>(row);
-        }
-    }
-}
-
-#[cfg(target_arch = "x86_64")]
-mod x86 {
-    use std::arch::x86_64::{
-        __m256, __m512, _CMP_LT_OQ, _CMP_UNORD_Q, _mm_loadu_ps, _mm_movehl_ps, _mm_movelh_ps,
-        _mm_storeu_ps, _mm_unpackhi_ps, _mm_unpacklo_ps, _mm256_add_ps, _mm256_blendv_ps,
-        _mm256_cmp_ps, _mm256_fmadd_ps, _mm256_loadu_ps, _mm256_max_ps, _mm256_mul_ps,
-        _mm256_set1_ps, _mm256_setzero_ps, _mm256_storeu_ps, _mm512_add_ps, _mm512_cmp_ps_mask,
-        _mm512_fmadd_ps, _mm512_loadu_ps, _mm512_mask_mov_ps, _mm512_mask_mul_ps, _mm512_max_ps,
-        _mm512_set1_ps, _mm512_setzero_ps, _mm512_storeu_ps,
-    };
-
-    use super::{Rivals, Row, Vector, products, rival, row_of_tiles};
-
-    #[inline(always)]
-    pub(super) fn turned(square: [[f32; 4]; 4]) -> [[f32; 4]; 4] {
-        let mut turned = [[0.0; 4]; 4];
-        // SAFETY: every load and store is of a whole array of four; SSE is part of this architecture.
-        unsafe {
-            let [a, b, c, d] = square.each_ref().map(|row| _mm_loadu_ps(row.as_ptr()));
-            let (ab, cd) = (_mm_unpacklo_ps(a, b), _mm_unpacklo_ps(c, d));
-            let (ab_high, cd_high) = (_mm_unpackhi_ps(a, b), _mm_unpackhi_ps(c, d));
-            let rows = [
-                _mm_movelh_ps(ab, cd),
-                _mm_movehl_ps(cd, ab),
-                _mm_movelh_ps(ab_high, cd_high),
-                _mm_movehl_ps(cd_high, ab_high),
-            ];
-            for (to, from) in turned.iter_mut().zip(rows) {
-                _mm_storeu_ps(to.as_mut_ptr(), from);
-            }
-        }
-        turned
-    }
-
-    /// # Safety
-    /// See [`super::products`].
-    #[target_feature(enable = "avx512f")]
-    pub(super) unsafe fn products_avx512(rounds: u64) -> f32 {
-        // SAFETY: as the caller's.
-        unsafe { products::<Avx512, 12>(rounds) }
-    }
-
-    /// # Safety
-    /// See [`super::products`].
-    #[target_feature(enable = "avx2,fma")]
-    pub(super) unsafe fn products_avx2(rounds: u64) -> f32 {
-        // SAFETY: as the caller's.
-        unsafe { products::<Avx2, 6>(rounds) }
-    }
-
-    /// # Safety
-    /// See [`super::Kernel::rival`].
-    #[target_feature(enable = "avx512f")]
-    pub(super) unsafe fn rival_avx512(row: Rivals<'_>) {
-        // SAFETY: as the caller's.
-        unsafe { rival::<Avx512>(row) }
-    }
-
-    /// # Safety
-    /// See [`super::Kernel::rival`].
-    #[target_feature(enable = "avx2")]
-    pub(super) unsafe fn rival_avx2(row: Rivals<'_>) {
-        // SAFETY: as the caller's.
-        unsafe { rival::<Avx2>(row) }
-    }
-
-    /// # Safety
-    /// See [`super::Kernel::vectorised`].
-    #[target_feature(enable = "avx512f,avx512vl,avx512dq")]
-    pub(super) unsafe fn with_avx512(work: impl FnOnce()) {
-        work();
-    }
-
-    /// # Safety
-    /// See [`super::Kernel::vectorised`].
-    #[target_feature(enable = "avx2")]
-    pub(super) unsafe fn with_avx2(work: impl FnOnce()) {
-        work();
-    }
-
-    /// # Safety
-    /// See [`super::Kernel::run`].
-    #[target_feature(enable = "avx512f")]
-    pub(super) unsafe fn avx512(row: Row<'_>) {
-        // SAFETY: as the caller's.
-        unsafe { row_of_tiles::<Avx512, 10, 5>(row) }
-    }
-
-    /// # Safety
-    /// See [`super::Kernel::run`].
-    #[target_feature(enable = "avx2,fma")]
-    pub(super) unsafe fn avx2(row: Row<'_>) {
-        // SAFETY: as the caller's.
-        unsafe { row_of_tiles::<Avx2, 5, 2>(row) }
-    }
-
-    #[derive(Clone, Copy)]
-    struct Avx512(__m512);
-
-    #[derive(Clone, Copy)]
-    struct Avx2(__m256, __m256);
-
-    // Of `max` the second is the answer when one of the two is NaN.
-
-    impl Vector for Avx512 {
-        #[inline(always)]
-        unsafe fn load(from: *const f32) -> Self {
-            // SAFETY: as the caller's, here and below.
-            unsafe { Self(_mm512_loadu_ps(from)) }
-        }
-
-        #[inline(always)]
-        unsafe fn store(self, to: *mut f32) {
-            // SAFETY: see `load`.
-            unsafe { _mm512_storeu_ps(to, self.0) }
-        }
-
-        #[inline(always)]
-        unsafe fn splat(value: f32) -> Self {
-            // SAFETY: see `load`.
-            unsafe { Self(_mm512_set1_ps(value)) }
-        }
-
-        #[inline(always)]
-        unsafe fn plus_product(self, a: Self, b: Self) -> Self {
-            // SAFETY: see `load`.
-            unsafe { Self(_mm512_fmadd_ps(a.0, b.0, self.0)) }
-        }
-
-        #[inline(always)]
-        unsafe fn plus(self, other: Self) -> Self {
-            // SAFETY: see `load`.
-            unsafe { Self(_mm512_add_ps(self.0, other.0)) }
-        }
-
-        #[inline(always)]
-        unsafe fn larger(self, other: Self) -> Self {
-            // SAFETY: see `load`.
-            unsafe {
-                let undefined = _mm512_cmp_ps_mask::<_CMP_UNORD_Q>(other.0, other.0);
-                let larger = _mm512_max_ps(other.0, self.0);
-                Self(_mm512_mask_mov_ps(larger, undefined, other.0))
-            }
-        }
-
-        #[inline(always)]
-        unsafe fn relu(self) -> Self {
-            // SAFETY: see `load`.
-            unsafe { Self(_mm512_max_ps(_mm512_setzero_ps(), self.0)) }
-        }
-
-        #[inline(always)]
-        unsafe fn leaky(self, slope: Self) -> Self {
-            // SAFETY: see `load`.
-            unsafe {
-                let negative = _mm512_cmp_ps_mask::<_CMP_LT_OQ>(self.0, _mm512_setzero_ps());
-                Self(_mm512_mask_mul_ps(self.0, negative, self.0, slope.0))
-            }
-        }
-    }
-
-    impl Vector for Avx2 {
-        #[inline(always)]
-        unsafe fn load(from: *const f32) -> Self {
-            // SAFETY: as the caller's, here and below.
-            unsafe { Self(_mm256_loadu_ps(from), _mm256_loadu_ps(from.add(8))) }
-        }
-
-        #[inline(always)]
-        unsafe fn store(self, to: *mut f32) {
-            // SAFETY: see `load`.
-            unsafe {
-                _mm256_storeu_ps(to, self.0);
-                _mm256_storeu_ps(to.add(8), self.1);
-            }
-        }
-
-        #[inline(always)]
-        unsafe fn splat(value: f32) -> Self {
-            // SAFETY: see `load`.
-            unsafe { Self(_mm256_set1_ps(value), _mm256_set1_ps(value)) }
-        }
-
-        #[inline(always)]
-        unsafe fn plus_product(self, a: Self, b: Self) -> Self {
-            // SAFETY: see `load`.
-            unsafe {
-                Self(
-                    _mm256_fmadd_ps(a.0, b.0, self.0),
-                    _mm256_fmadd_ps(a.1, b.1, self.1),
-                )
-            }
-        }
-
-        #[inline(always)]
-        unsafe fn plus(self, other: Self) -> Self {
-            // SAFETY: see `load`.
-            unsafe {
-                Self(
-                    _mm256_add_ps(self.0, other.0),
-                    _mm256_add_ps(self.1, other.1),
-                )
-            }
-        }
-
-        #[inline(always)]
-        unsafe fn larger(self, other: Self) -> Self {
-            // SAFETY: see `load`.
-            unsafe {
-                let undefined = Self(
-                    _mm256_cmp_ps::<_CMP_UNORD_Q>(other.0, other.0),
-                    _mm256_cmp_ps::<_CMP_UNORD_Q>(other.1, other.1),
-                );
-                Self(
-                    _mm256_blendv_ps(_mm256_max_ps(other.0, self.0), other.0, undefined.0),
-                    _mm256_blendv_ps(_mm256_max_ps(other.1, self.1), other.1, undefined.1),
-                )
-            }
-        }
-
-        #[inline(always)]
-        unsafe fn relu(self) -> Self {
-            // SAFETY: see `load`.
-            unsafe {
-                let zero = _mm256_setzero_ps();
-                Self(_mm256_max_ps(zero, self.0), _mm256_max_ps(zero, self.1))
-            }
-        }
-
-        #[inline(always)]
-        unsafe fn leaky(self, slope: Self) -> Self {
-            // SAFETY: see `load`.
-            unsafe {
-                let zero = _mm256_setzero_ps();
-                let negative = Self(
-                    _mm256_cmp_ps::<_CMP_LT_OQ>(self.0, zero),
-                    _mm256_cmp_ps::<_CMP_LT_OQ>(self.1, zero),
-                );
-                Self(
-                    _mm256_blendv_ps(self.0, _mm256_mul_ps(self.0, slope.0), negative.0),
-                    _mm256_blendv_ps(self.1, _mm256_mul_ps(self.1, slope.1), negative.1),
-                )
-            }
         }
     }
 }

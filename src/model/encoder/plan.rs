@@ -1,9 +1,9 @@
 //! A graph → the steps that compute it: where each value lies, how weights are laid out, which memory is used again.
 
 use super::graph::{Activation, Graph, Node, NodeId, Op, Window};
-use super::kernel::Kernel;
 use super::layout::{Blocked, LANES, Planar};
 use super::steps::{self, Convolution, Scaling, Source, View};
+use crate::model::vectors::Vectors;
 
 /// Most elements of one value, with its zeros: as many as a model's own values may have.
 const VOLUME_MAX: usize = 1 << 27;
@@ -14,7 +14,7 @@ const WINDOW_MAX: usize = 1 << 12;
 /// Everything about an encoder that does not change from picture to picture.
 pub struct Plan {
     /// Instructions that it runs on.
-    pub kernel: Kernel,
+    pub kernel: Vectors,
     /// Of the input.
     pub picture: Planar,
     /// Buffers, each for several values one after the other.
@@ -117,7 +117,7 @@ impl Plan {
     ///
     /// # Errors
     /// What in the graph it cannot compute.
-    pub fn new(graph: &Graph, kernel: Kernel) -> Result<Self, String> {
+    pub fn new(graph: &Graph, kernel: Vectors) -> Result<Self, String> {
         check(graph)?;
         let mut planner = Planner::new(graph);
         if planner

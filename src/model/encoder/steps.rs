@@ -3,8 +3,9 @@
 use std::ops::Range;
 
 use super::graph::{Activation, Window};
-use super::kernel::{Kernel, Rivals, Row, Run, larger, turned};
+use super::kernel::{Rivals, Row, Run, larger};
 use super::layout::{Blocked, LANES, Planar};
+use crate::model::vectors::{Vectors, turned};
 
 /// Runs that read only zeros beside the picture for fewer pixels than this at either end are never left out.
 const SKIPPED_MIN: usize = 5;
@@ -126,7 +127,7 @@ impl Convolution {
     /// - `residual`: added to the sums, in as many blocks as it has
     pub fn run(
         &self,
-        kernel: Kernel,
+        kernel: Vectors,
         input: &[f32],
         residual: Option<(&[f32], View)>,
         (output, view): (&mut [f32], View),
@@ -279,7 +280,7 @@ fn inside(window: &Window, cell: usize, width: usize, positions: usize) -> (Rang
 /// Largest values in a window, of a value in blocks.
 #[inline(always)]
 pub fn pool_blocks(
-    kernel: Kernel,
+    kernel: Vectors,
     window: &Window,
     activation: Activation,
     (input, from): (&[f32], View),

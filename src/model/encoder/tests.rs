@@ -6,241 +6,19 @@
     clippy::cast_sign_loss
 )]
 
+mod naive;
+mod onnx;
+
 use std::borrow::Cow;
 use std::path::Path;
 
 use super::graph::{Activation, Graph, NodeId, Op, Window};
-use super::kernel::Kernel;
 use super::*;
 use crate::model::ModelOptions;
 use crate::model::preprocess::Preprocessing;
-
-/// Rounding of a few hundred sums of 32-bit floats, as a share of the largest value.
-const ROUNDING: f64 = 1e-5;
-
-/// Numbers that look random, always the same.
-struct Dice(u64);
-
-impl Dice {
-    fn below(&mut self, count: usize) -> usize {
-        self.0 = self
-            .0
-            .wrapping_mul(6_364_136_223_846_793_005)
-            .wrapping_add(1);
-        (self.0 >> 33) as usize % count
-    }
-
-    fn of<T: Copy>(&mut self, choices: &[T]) -> T {
-        choices[self.below(choices.len())]
-    }
-
-    fn values(&mut self, count: usize) -> Vec<f32> {
-        (0..count)
-            .map(|_| self.below(2_001) as f32 / 1e3 - 1.0)
-            .collect()
-    }
-}
-
-/// Output size of a window with as many pixels after as before, and `extra` more.
-fn size_after(size: usize, window: &Window, axis: usize, extra: usize) -> Option<usize> {
-    let span = (window.kernel[axis] - 1) * window.dilation[axis] + 1;
-    let room = size + 2 * window.before[axis] + extra;
-    (room >= span).then(|| (room - span) / window.stride[axis] + 1)
-}
-
-fn random_window(dice: &mut Dice) -> Window {
-    let kernel = dice.of(&[[1, 1], [3, 3], [2, 2], [5, 1], [1, 5], [4, 4], [2, 3]]);
-    let dilation = [dice.of(&[1, 1, 2, 5]), dice.of(&[1, 1, 2, 7])];
-    let same = [0, 1].map(|axis| (kernel[axis] - 1) * dilation[axis] / 2);
-    Window {
-        kernel,
-        stride: [dice.of(&[1, 1, 2, 3]), dice.of(&[1, 1, 2, 3, 4])],
-        dilation,
-        before: match dice.below(3) {
-            0 => [0, 0],
-            1 => same,
-            _ => [same[0], dice.below(4)],
-        },
-    }
-}
-
-fn push_conv(
-    graph: &mut Graph,
-    dice: &mut Dice,
-    input: NodeId,
-    window: Window,
-    outputs: usize,
-) -> Option<NodeId> {
-    let [channels, height, width] = graph.nodes[input].shape;
-    let extra = dice.below(2);
-    let shape = [
-        outputs,
-        size_after(height, &window, 0, 0)?,
-        size_after(width, &window, 1, extra)?,
-    ];
-    let cells = window.kernel[0] * window.kernel[1];
-    let op = Op::Conv {
-        window,
-        weights: dice.values(outputs * channels * cells),
-        bias: dice.values(outputs),
-    };
-    Some(graph.push(op, &[input], shape))
-}
-
-const POINT: Window = Window {
-    kernel: [1, 1],
-    stride: [1, 1],
-    dilation: [1, 1],
-    before: [0, 0],
-};
-
-/// Every value of a graph, straight from the definitions.
-fn naive(graph: &Graph, picture: &[f32]) -> Vec<Vec<f64>> {
-    let mut values: Vec<Vec<f64>> = Vec::new();
-    for node in &graph.nodes {
-        let [channels, height, width] = node.shape;
-        let of = |index: usize| {
-            let id = node.inputs[index];
-            (&values[id], graph.nodes[id].shape)
-        };
-        // 0 outside.
-        let at = |index: usize, c: usize, y: isize, x: isize| {
-            let (values, [channels, height, width]) = of(index);
-            let inside = c < channels
-                && (0..height as isize).contains(&y)
-                && (0..width as isize).contains(&x);
-            inside.then(|| values[(c * height + y as usize) * width + x as usize])
-        };
-        let mut made = Vec::new();
-        for c in 0..channels {
-            for y in 0..height as isize {
-                for x in 0..width as isize {
-                    let cells = |window: &Window| {
-                        let window = *window;
-                        let place = move |axis: usize, position: isize, cell: usize| {
-                            position * window.stride[axis] as isize
-                                + (cell * window.dilation[axis]) as isize
-                                - window.before[axis] as isize
-                        };
-                        (0..window.kernel[0]).flat_map(move |cell_y| {
-                            (0..window.kernel[1]).map(move |cell_x| {
-                                let cell = cell_y * window.kernel[1] + cell_x;
-                                (cell, place(0, y, cell_y), place(1, x, cell_x))
-                            })
-                        })
-                    };
-                    let value = match &node.op {
-                        Op::Picture => f64::from(picture[made.len()]),
-                        Op::Conv {
-                            window,
-                            weights,
-                            bias,
-                        } => {
-                            let inputs = of(0).1[0];
-                            let count = window.kernel[0] * window.kernel[1];
-                            let mut sum = f64::from(bias[c]);
-                            for input in 0..inputs {
-                                for (cell, y, x) in cells(window) {
-                                    let weight = weights[(c * inputs + input) * count + cell];
-                                    sum += f64::from(weight) * at(0, input, y, x).unwrap_or(0.0);
-                                }
-                            }
-                            sum
-                        }
-                        Op::MaxPool(window) => cells(window)
-                            .filter_map(|(_, y, x)| at(0, c, y, x))
-                            .fold(f64::NEG_INFINITY, f64::max),
-                        Op::Add => at(0, c, y, x).unwrap() + at(1, c, y, x).unwrap(),
-                        Op::Concat => {
-                            let mut first = 0;
-                            let mut value = 0.0;
-                            for index in 0..node.inputs.len() {
-                                let count = of(index).1[0];
-                                if (first..first + count).contains(&c) {
-                                    value = at(index, c - first, y, x).unwrap();
-                                }
-                                first += count;
-                            }
-                            value
-                        }
-                        Op::Margin(before) => {
-                            let (y, x) = (y - before[0] as isize, x - before[1] as isize);
-                            at(0, c, y, x).unwrap_or(0.0)
-                        }
-                        Op::Scale { factor, offset } => {
-                            at(0, c, y, x).unwrap() * f64::from(factor[c]) + f64::from(offset[c])
-                        }
-                        Op::Resize => {
-                            let [_, from_height, from_width] = of(0).1;
-                            let between = |position: isize, from: usize, to: usize| {
-                                let place = (position as f64 + 0.5) * from as f64 / to as f64 - 0.5;
-                                let place = place.clamp(0.0, (from - 1) as f64);
-                                (place.floor() as isize, place.fract())
-                            };
-                            let (top, below) = between(y, from_height, height);
-                            let (left, aside) = between(x, from_width, width);
-                            let near = |dy: isize, dx: isize| {
-                                let y = (top + dy).min(from_height as isize - 1);
-                                let x = (left + dx).min(from_width as isize - 1);
-                                at(0, c, y, x).unwrap()
-                            };
-                            let upper = near(0, 0) * (1.0 - aside) + near(0, 1) * aside;
-                            let lower = near(1, 0) * (1.0 - aside) + near(1, 1) * aside;
-                            upper * (1.0 - below) + lower * below
-                        }
-                        Op::Unfold { side } => {
-                            let side = *side as isize;
-                            let channel = (c as isize * side + y % side) * side + x % side;
-                            at(0, channel as usize, y / side, x / side).unwrap()
-                        }
-                    };
-                    made.push(match node.activation {
-                        Activation::Relu => value.max(0.0),
-                        Activation::Leaky(slope) if value < 0.0 => value * f64::from(slope),
-                        _ => value,
-                    });
-                }
-            }
-        }
-        values.push(made);
-    }
-    graph.outputs.iter().map(|&id| values[id].clone()).collect()
-}
-
-/// What each kernel makes of a graph is what the definitions say, and those that fuse products agree to the bit.
-fn assert_computed(graph: &Graph, picture: &[f32], what: &str) {
-    let wanted = naive(graph, picture);
-    let mut fused_outputs: Option<Vec<Vec<u32>>> = None;
-    for kernel in Kernel::available() {
-        let plan =
-            Plan::new(&graph.clone().fused(), kernel).unwrap_or_else(|why| panic!("{what}: {why}"));
-        let mut buffers = Buffers::new(&plan);
-        // Twice: what a picture leaves behind does not matter to the next.
-        buffers.run(&plan, &vec![f32::NAN; picture.len()]);
-        buffers.run(&plan, picture);
-        for (found, wanted) in buffers.outputs().iter().zip(&wanted) {
-            assert_eq!(found.len(), wanted.len(), "{what}");
-            let peak = wanted.iter().fold(1.0_f64, |m, v| m.max(v.abs()));
-            for (place, (&found, &wanted)) in found.iter().zip(wanted).enumerate() {
-                assert!(
-                    (f64::from(found) - wanted).abs() <= ROUNDING * peak,
-                    "{what}, {kernel:?}: {found} at {place}; wanted {wanted}"
-                );
-            }
-        }
-        if kernel != Kernel::Portable {
-            let bits = buffers.outputs().iter();
-            let bits: Vec<Vec<u32>> = bits
-                .map(|values| values.iter().map(|v| (v + 0.0).to_bits()).collect())
-                .collect();
-            assert_eq!(
-                *fused_outputs.get_or_insert_with(|| bits.clone()),
-                bits,
-                "{what}"
-            );
-        }
-    }
-}
+use crate::model::vectors::Vectors;
+use naive::*;
+use onnx::*;
 
 #[test]
 fn convolutions_of_all_shapes_are_what_they_should() {
@@ -431,7 +209,7 @@ fn what_no_step_computes_is_refused() {
         let mut graph = Graph::default();
         let picture = graph.push(Op::Picture, &[], [3, 4, 5]);
         graph.outputs = vec![graph.push(op, &[picture], shape)];
-        Plan::new(&graph.fused(), Kernel::Portable).err().unwrap()
+        Plan::new(&graph.fused(), Vectors::Portable).err().unwrap()
     };
     let scale = |value: f32| Op::Scale {
         factor: vec![value; 3],
@@ -536,7 +314,7 @@ fn a_plan_that_differs_from_tract_is_not_used() {
         .unwrap();
     let mut graph = lowering::lower(&typed).unwrap().fused();
     let agrees_with = |graph: &Graph| {
-        let plan = Plan::new(graph, Kernel::available()[0]).unwrap();
+        let plan = Plan::new(graph, Vectors::available()[0]).unwrap();
         agrees(&plan, &tract, &[1, 3, 16, 32], "tiny")
     };
     assert!(agrees_with(&graph));
@@ -732,115 +510,3 @@ fn every_shipped_model_is_far_within_the_limits() {
 }
 
 // Tiny ONNX files, written field by field.
-
-fn varint(mut value: u64, into: &mut Vec<u8>) {
-    while value >= 0x80 {
-        into.push(value as u8 | 0x80);
-        value >>= 7;
-    }
-    into.push(value as u8);
-}
-
-fn number(field: u64, value: u64) -> Vec<u8> {
-    let mut bytes = Vec::new();
-    varint(field << 3, &mut bytes);
-    varint(value, &mut bytes);
-    bytes
-}
-
-fn block(field: u64, content: &[u8]) -> Vec<u8> {
-    let mut bytes = Vec::new();
-    varint(field << 3 | 2, &mut bytes);
-    varint(content.len() as u64, &mut bytes);
-    bytes.extend(content);
-    bytes
-}
-
-fn int(name: &str, value: u64) -> Vec<u8> {
-    [block(1, name.as_bytes()), number(3, value), number(20, 2)].concat()
-}
-
-fn ints(name: &str, values: &[u64]) -> Vec<u8> {
-    let values = values.iter().flat_map(|&value| number(8, value));
-    [block(1, name.as_bytes()), values.collect(), number(20, 7)].concat()
-}
-
-fn node(op: &str, inputs: &[&str], output: &str, attributes: &[Vec<u8>]) -> Vec<u8> {
-    let inputs = inputs.iter().flat_map(|input| block(1, input.as_bytes()));
-    let attributes = attributes.iter().flat_map(|attribute| block(5, attribute));
-    let mut bytes: Vec<u8> = inputs.collect();
-    bytes.extend(block(2, output.as_bytes()));
-    bytes.extend(block(4, op.as_bytes()));
-    bytes.extend(attributes);
-    bytes
-}
-
-fn relu(output: &str, input: &str) -> Vec<u8> {
-    node("Relu", &[input], output, &[])
-}
-
-/// A 3x3 convolution of the picture; its weights are the initialiser of that many outputs.
-fn conv(output: &str, input: &str, outputs: usize) -> Vec<u8> {
-    let weights = format!("w{outputs}");
-    node(
-        "Conv",
-        &[input, &weights],
-        output,
-        &[ints("pads", &[1, 1, 1, 1])],
-    )
-}
-
-fn tensor(name: &str, dims: &[u64], values: &[f32]) -> Vec<u8> {
-    let dims = dims.iter().flat_map(|&dim| number(1, dim));
-    let mut bytes: Vec<u8> = dims.collect();
-    bytes.extend(number(2, 1));
-    bytes.extend(block(8, name.as_bytes()));
-    let raw: Vec<u8> = values
-        .iter()
-        .flat_map(|value| value.to_le_bytes())
-        .collect();
-    bytes.extend(block(9, &raw));
-    bytes
-}
-
-fn model(nodes: &[Vec<u8>]) -> Vec<u8> {
-    let value = |name: &str, dims: &[u64]| {
-        let dims: Vec<u8> = dims
-            .iter()
-            .flat_map(|&dim| block(1, &number(1, dim)))
-            .collect();
-        let tensor = [number(1, 1), block(2, &dims)].concat();
-        [block(1, name.as_bytes()), block(2, &block(1, &tensor))].concat()
-    };
-    let mut graph: Vec<u8> = nodes.iter().flat_map(|node| block(1, node)).collect();
-    graph.extend(block(2, b"tiny"));
-    for outputs in [3, 4, 5, 13, 20] {
-        let weights = Dice(outputs).values(27 * outputs as usize);
-        graph.extend(block(
-            5,
-            &tensor(&format!("w{outputs}"), &[outputs, 3, 3, 3], &weights),
-        ));
-    }
-    graph.extend(block(5, &tensor("half", &[], &[0.5])));
-    graph.extend(block(11, &value("image", &[1, 3, 16, 32])));
-    let output = [block(1, b"tap"), block(2, &block(1, &number(1, 1)))].concat();
-    graph.extend(block(12, &output));
-    let opset = block(8, &number(2, 13));
-    [number(1, 8), opset, block(7, &graph)].concat()
-}
-
-fn spec_of(nodes: &[Vec<u8>]) -> ModelSpec {
-    ModelSpec {
-        name: "tiny".to_owned(),
-        onnx: Cow::Owned(model(nodes)),
-        taps: vec!["tap".to_owned()],
-        lane: None,
-        preprocessing: Preprocessing {
-            width: 32,
-            height: 16,
-            mean: [0.5; 3],
-            std: [0.5; 3],
-            crop: crate::model::preprocess::CROP_NOTHING,
-        },
-    }
-}

@@ -6,7 +6,7 @@
 
 use std::ops::Range;
 
-use crate::model::encoder::turned;
+use crate::model::vectors::turned;
 
 /// Output rows that are made together.
 pub const ROWS: usize = 8;

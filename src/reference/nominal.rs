@@ -1,0 +1,246 @@
+//! What is nominal of one tapped block, and how far windows lie from it.
+
+use serde::{Deserialize, Serialize};
+
+use crate::capture::undefined::Undefined;
+use crate::features::attention::EnergyMap;
+use crate::features::energies::BlockMeans;
+use crate::features::histogram::Binning;
+use crate::reference::gap::lane_risk::LaneRisk;
+use crate::reference::gap::moments::{EnergyNorm, energy_levels};
+use crate::reference::gap::{Comparison, Metric};
+
+/// Largest gap of a metric that compares histograms: that of a correlation of -1.
+const GAP_MAX: f64 = 2.0;
+/// Least distance of a threshold from its median.
+pub const SPREAD_MIN: f64 = 1e-9;
+
+/// Nominal attention of one tapped block.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TapReference {
+    /// Name of the tap.
+    pub tap: String,
+    /// Median over the images of the largest energy, squared activation units: the scale of this block.
+    pub median_peak_energy: f64,
+    /// Images looked at.
+    pub images: u64,
+    /// What they have in common.
+    pub nominal: Nominal,
+    /// Nominal gaps by the number of frames in the window, fewest first.
+    pub scale: Vec<ScalePoint>,
+}
+
+/// What is taken of a frame, and what that is on nominal ones.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case", deny_unknown_fields)]
+pub enum Nominal {
+    /// Pixels by their energy.
+    Histogram {
+        /// How pixels are counted.
+        binning: Binning,
+        /// `[bins]`, pixels.
+        counts: Vec<u64>,
+    },
+    /// Energies by channel and by cell.
+    Energies(EnergyNorm),
+    /// The same, and what the lane model loses with them.
+    LaneRisk(LaneRisk),
+}
+
+/// Nominal gaps of windows of a number of frames.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ScalePoint {
+    /// Frames a window.
+    pub frames: usize,
+    /// Windows looked at.
+    pub windows: usize,
+    /// Median gap: score 0.
+    pub median: f64,
+    /// Alarm threshold: score 1.
+    pub threshold: f64,
+}
+
+impl TapReference {
+    /// What is wrong with it.
+    pub(super) fn fault(&self, metric: Metric) -> Option<String> {
+        if self.images == 0 {
+            return Some("made of no images".to_owned());
+        }
+        if !(self.median_peak_energy.is_finite() && self.median_peak_energy > 0.0) {
+            return Some(format!(
+                "a median peak energy of {}",
+                self.median_peak_energy
+            ));
+        }
+        if let Some(fault) = self.nominal.fault(metric) {
+            return Some(fault);
+        }
+        let rising = self
+            .scale
+            .windows(2)
+            .all(|pair| pair[0].frames < pair[1].frames);
+        let largest = match self.nominal {
+            Nominal::Histogram { .. } => 2.0 * GAP_MAX,
+            Nominal::Energies(_) | Nominal::LaneRisk(_) => f64::MAX,
+        };
+        let least = match self.nominal {
+            // A forecast: a little below 0 on an easy road.
+            Nominal::LaneRisk(_) => f64::MIN,
+            _ => -1e-9,
+        };
+        let usable = |p: &ScalePoint| {
+            let in_range = |gap: f64| (least..=largest).contains(&gap);
+            p.frames > 0
+                && in_range(p.median)
+                && p.threshold.is_finite()
+                && p.threshold - p.median >= 0.5 * SPREAD_MIN
+        };
+        if self.scale.is_empty() || !rising || !self.scale.iter().all(usable) {
+            return Some(
+                "a scale without rising frame counts and medians below thresholds".to_owned(),
+            );
+        }
+        None
+    }
+
+    /// Median and threshold for windows of `frames`, linear in `1 / frames` between the points of the scale: the gap of
+    /// an average of `n` histograms falls as `1 / n` towards that of infinitely many.
+    #[allow(clippy::cast_precision_loss)]
+    pub fn scale_for(&self, frames: usize) -> (f64, f64) {
+        let next = self
+            .scale
+            .partition_point(|point| point.frames < frames)
+            .min(self.scale.len() - 1);
+        let (low, high) = (self.scale[next.saturating_sub(1)], self.scale[next]);
+        if low.frames == high.frames {
+            return (high.median, high.threshold);
+        }
+        let inverse = |frames: usize| 1.0 / frames as f64;
+        let frames = frames.clamp(low.frames, high.frames);
+        let share =
+            (inverse(low.frames) - inverse(frames)) / (inverse(low.frames) - inverse(high.frames));
+        (
+            low.median + share * (high.median - low.median),
+            low.threshold + share * (high.threshold - low.threshold),
+        )
+    }
+}
+
+impl Nominal {
+    /// Numbers that are taken of a frame: bins or energies.
+    pub fn len(&self) -> usize {
+        match self {
+            Self::Histogram { counts, .. } => counts.len(),
+            Self::Energies(norm) => norm.energies(),
+            Self::LaneRisk(risk) => risk.mean.len(),
+        }
+    }
+
+    /// Whether nothing is taken of a frame; never of a reference that was read whole.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// Takes one block of a frame: `common` is its energy map at the common size, `taken` `[len]`. Allocates nothing.
+    ///
+    /// # Errors
+    /// `ConstantMap` when the map says nothing, `EnergyCount` when the block has other channels than the reference.
+    pub fn take(
+        &self,
+        common: &EnergyMap,
+        means: &BlockMeans,
+        taken: &mut [u32],
+    ) -> Result<(), Undefined> {
+        match self {
+            Self::Histogram { binning, .. } => {
+                taken.fill(0);
+                binning.count(common, taken)
+            }
+            Self::Energies(EnergyNorm { epsilon, .. })
+            | Self::LaneRisk(LaneRisk { epsilon, .. }) => {
+                if means.energy.len() != taken.len() {
+                    return Err(Undefined::EnergyCount {
+                        found: means.energy.len(),
+                        wanted: taken.len(),
+                    });
+                }
+                energy_levels(&means.energy, *epsilon, taken);
+                Ok(())
+            }
+        }
+    }
+
+    /// Compares the sum over a window of `frames` frames with the nominal ones.
+    ///
+    /// # Errors
+    /// Why there is no value.
+    pub fn compare(
+        &self,
+        metric: Metric,
+        sums: &[u64],
+        frames: usize,
+    ) -> Result<Comparison, Undefined> {
+        match self {
+            Self::Histogram { counts, .. } => metric
+                .divergence()
+                .ok_or(Undefined::NoScore)?
+                .compare(sums, counts),
+            Self::Energies(norm) => {
+                let distance = norm.distance(sums, frames);
+                Ok(Comparison {
+                    value: distance,
+                    gap: distance,
+                    similarity: 1.0 / (1.0 + distance),
+                })
+            }
+            Self::LaneRisk(risk) => {
+                let loss = risk.loss(sums, frames);
+                Ok(Comparison {
+                    value: loss,
+                    gap: loss,
+                    similarity: 1.0 - loss,
+                })
+            }
+        }
+    }
+
+    fn fault(&self, metric: Metric) -> Option<String> {
+        match (self, metric) {
+            (Self::Energies(norm), Metric::Mahalanobis) => norm.fault(),
+            (Self::LaneRisk(risk), Metric::LaneRisk) => risk.fault(),
+            (
+                Self::Histogram {
+                    binning: binning @ Binning::LogEnergy { .. },
+                    counts,
+                },
+                Metric::LogEnergy(_),
+            )
+            | (
+                Self::Histogram {
+                    binning: binning @ Binning::Attention { .. },
+                    counts,
+                },
+                Metric::Attention(_) | Metric::Paper,
+            ) => {
+                if let Some(fault) = binning.fault() {
+                    return Some(fault.to_owned());
+                }
+                if counts.len() != binning.bins() {
+                    return Some(format!(
+                        "{} counts for {} bins",
+                        counts.len(),
+                        binning.bins()
+                    ));
+                }
+                counts
+                    .iter()
+                    .try_fold(0_u64, |sum, &n| sum.checked_add(n))
+                    .is_none_or(|sum| sum == 0)
+                    .then(|| "counts that do not add up".to_owned())
+            }
+            _ => Some(format!("nominal values of another kind than {metric} has")),
+        }
+    }
+}
