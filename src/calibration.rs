@@ -4,7 +4,7 @@ pub mod survey;
 
 pub mod drive;
 mod error;
-mod wanted;
+mod target;
 
 mod binning;
 mod false_alarms;
@@ -23,8 +23,8 @@ pub use binning::{
     counts_of,
 };
 pub use calibrate::{Calibrated, Domain, calibrate, looks};
-pub use drive::{Drive, LabelledDrive, LabelledMeans};
+pub use drive::{LabelledDrive, LabelledMeans, SurveyedDrive};
 pub use error::CalibrationError;
 pub use false_alarms::{DriveScores, is_judging};
-pub use wanted::Wanted;
+pub use target::Target;
 pub use windows::drive_scores;

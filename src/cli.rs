@@ -4,6 +4,7 @@ pub mod args;
 #[cfg(feature = "lab")]
 mod bench;
 mod calibrate;
+mod calibration_plan;
 #[cfg(feature = "lab")]
 mod compare;
 #[cfg(feature = "lab")]
@@ -25,7 +26,6 @@ mod pictures;
 mod progress;
 #[cfg(feature = "lab")]
 mod quick_reference;
-mod recipe;
 mod replay;
 #[cfg(feature = "lab")]
 mod report;
@@ -44,7 +44,7 @@ use gapwatch::model::encoder::{Encoder, Executor};
 use gapwatch::model::{ModelOptions, ModelSpec};
 use gapwatch::monitor::alarm::AlarmState;
 use gapwatch::monitor::judge::Verdict;
-use gapwatch::record::evidence::Kept;
+use gapwatch::record::events::EventCounts;
 use gapwatch::reference::ModelFingerprint;
 
 use crate::cli::args::{Command, ModelArgs};
@@ -137,7 +137,7 @@ fn state_line(verdict: &Verdict) -> String {
 }
 
 /// One line for people about the evidence of a run.
-fn tell_evidence(kept: Kept, out: &mut dyn Write) -> std::io::Result<()> {
+fn tell_evidence(kept: EventCounts, out: &mut dyn Write) -> std::io::Result<()> {
     write!(out, "evidence: {} events written", kept.events)?;
     for (count, what) in [
         (kept.removed, "older ones removed"),

@@ -2,7 +2,7 @@
 
 pub mod camera_health;
 
-pub mod intake;
+pub mod extraction;
 pub mod profile;
 
 pub mod continuity;
@@ -10,8 +10,8 @@ pub mod detector;
 pub mod scorer;
 
 pub mod alarm;
-pub mod health;
 pub mod rate;
+pub mod timing;
 
 pub mod judge;
 

@@ -2,4 +2,4 @@
 
 pub mod journal;
 
-pub mod evidence;
+pub mod events;

@@ -1,11 +1,11 @@
 //! Surveys of nominal sources → reference: what is nominal, medians, and thresholds for a wanted rate of false alarms.
 
-use super::drive::{Drive, LabelledDrive};
+use super::drive::{LabelledDrive, SurveyedDrive};
 use super::error::{CalibrationError, wrong};
 use super::false_alarms;
 use super::fitting::Fitting;
 use super::stretch::{Split, Stretch, look_at_all, split};
-use super::wanted::Wanted;
+use super::target::Target;
 use crate::capture::undefined::Undefined;
 use crate::reference::gap::Metric;
 use crate::reference::gap::moments::Moments;
@@ -39,7 +39,7 @@ pub struct Calibrated {
 }
 
 /// How often [`calibrate`] looks at drives in all, once for each drive each time.
-pub fn looks<D: Drive, L: LabelledDrive>(
+pub fn looks<D: SurveyedDrive, L: LabelledDrive>(
     domains: &[Domain<'_, D>],
     held_out: &[D],
     labelled: &[L],
@@ -75,12 +75,12 @@ pub fn looks<D: Drive, L: LabelledDrive>(
 ///
 /// # Errors
 /// When a frame cannot be judged, too few are at hand, or a drive can no longer be read.
-pub fn calibrate<D: Drive, L: LabelledDrive>(
+pub fn calibrate<D: SurveyedDrive, L: LabelledDrive>(
     domains: &[Domain<'_, D>],
     held_out: &[D],
     labelled: &[L],
     taps: &[String],
-    wanted: Wanted,
+    wanted: Target,
 ) -> Result<Calibrated, CalibrationError> {
     let mut sources = Vec::new();
     let mut components: Vec<Component> = Vec::new();
@@ -169,10 +169,10 @@ pub fn calibrate<D: Drive, L: LabelledDrive>(
 }
 
 /// Scales the gaps of a domain by those of windows of its own drives.
-fn scale<D: Drive>(
+fn scale<D: SurveyedDrive>(
     component: &mut Component,
     scaled: &[Stretch<'_, D>],
-    wanted: Wanted,
+    wanted: Target,
 ) -> Result<(), CalibrationError> {
     let own = std::slice::from_ref(&*component);
     // [drives][taps][window lengths][windows]
@@ -248,7 +248,7 @@ mod tests {
     /// A drive that counts how often it is looked at.
     struct Counted(Survey, std::sync::atomic::AtomicU64);
 
-    impl Drive for Counted {
+    impl SurveyedDrive for Counted {
         fn source(&self) -> &str {
             &self.0.source
         }
@@ -296,7 +296,7 @@ mod tests {
                     name: "simulation".to_owned(),
                     drives: &drives,
                 };
-                let wanted = Wanted {
+                let wanted = Target {
                     metric,
                     window_s: 1.0,
                     false_alarms_per_hour: 1.0,

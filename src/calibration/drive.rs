@@ -36,7 +36,7 @@ pub enum StoreError {
 }
 
 /// A drive that can be looked at as often as needed: in memory, or kept on disk.
-pub trait Drive: Sync {
+pub trait SurveyedDrive: Sync {
     /// As typed.
     fn source(&self) -> &str;
 
@@ -50,7 +50,7 @@ pub trait Drive: Sync {
     fn survey(&self) -> Result<Cow<'_, Survey>, StoreError>;
 }
 
-impl Drive for Survey {
+impl SurveyedDrive for Survey {
     fn source(&self) -> &str {
         &self.source
     }

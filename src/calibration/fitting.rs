@@ -1,7 +1,7 @@
 //! Nominal frames to what is nominal: histograms, moments, or the forecast of lost lanes.
 
 use super::binning::{Cut, Masses, PaperBinning, TapHistogram};
-use super::drive::{Drive, LabelledDrive};
+use super::drive::{LabelledDrive, SurveyedDrive};
 use super::error::{CalibrationError, wrong};
 use super::stretch::{Stretch, look_at_all, sum_over_all};
 use super::windows::Part;
@@ -19,7 +19,7 @@ pub struct Fitting<'a, D> {
     pub metric: Metric,
 }
 
-impl<D: Drive> Fitting<'_, D> {
+impl<D: SurveyedDrive> Fitting<'_, D> {
     fn wrong(&self, tap: usize, why: Undefined) -> CalibrationError {
         wrong(&self.taps[tap], self.metric, why)
     }

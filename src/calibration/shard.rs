@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
-use crate::calibration::Wanted;
+use crate::calibration::Target;
 use crate::files::json_fault::fault;
 use crate::files::whole_file::{WholeFile, read_whole};
 use crate::reference::gap::Metric;
@@ -29,7 +29,7 @@ pub struct Shard {
     pub metric: Metric,
     /// Length of the detector's window, seconds.
     pub window_s: f64,
-    /// Wanted entries into `Gap` an hour.
+    /// Target entries into `Gap` an hour.
     pub false_alarms_per_hour: f64,
     /// The drives.
     pub sources: Vec<ShardSource>,
@@ -65,7 +65,7 @@ pub enum ShardError {
 
 impl Shard {
     /// Some drives for a reference to be.
-    pub fn new(model: ModelFingerprint, wanted: Wanted, sources: Vec<ShardSource>) -> Self {
+    pub fn new(model: ModelFingerprint, wanted: Target, sources: Vec<ShardSource>) -> Self {
         Self {
             format: FORMAT.to_owned(),
             version: VERSION,
@@ -144,8 +144,8 @@ impl Shard {
     }
 
     /// What the reference is to be like.
-    pub fn wanted(&self) -> Wanted {
-        Wanted {
+    pub fn wanted(&self) -> Target {
+        Target {
             metric: self.metric,
             window_s: self.window_s,
             false_alarms_per_hour: self.false_alarms_per_hour,

@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use rayon::prelude::*;
 
-use super::drive::Drive;
+use super::drive::SurveyedDrive;
 use super::error::CalibrationError;
 use super::windows::Part;
 
@@ -15,7 +15,7 @@ pub struct Split<'a, D> {
 }
 
 /// With several drives every second one is held out whole; of a single one, its last third.
-pub fn split<D: Drive>(drives: &[D]) -> Vec<Split<'_, D>> {
+pub fn split<D: SurveyedDrive>(drives: &[D]) -> Vec<Split<'_, D>> {
     let alone = drives.len() == 1;
     let share = |index: usize, frames: usize| match (alone, index % 2) {
         (true, _) => frames - frames / 3,
@@ -32,7 +32,7 @@ pub fn split<D: Drive>(drives: &[D]) -> Vec<Split<'_, D>> {
         .collect()
 }
 
-impl<'a, D: Drive> Split<'a, D> {
+impl<'a, D: SurveyedDrive> Split<'a, D> {
     pub fn fitted(&self) -> Stretch<'a, D> {
         Stretch {
             drive: self.drive,
@@ -54,7 +54,7 @@ pub struct Stretch<'a, D> {
     pub range: Range<usize>,
 }
 
-impl<D: Drive> Stretch<'_, D> {
+impl<D: SurveyedDrive> Stretch<'_, D> {
     /// Looks at the frames, all of which must be such as can be judged.
     pub fn look<T>(
         &self,
@@ -66,7 +66,7 @@ impl<D: Drive> Stretch<'_, D> {
 }
 
 /// Looks at many stretches, one a thread at a time; what came of each, in their order.
-pub fn look_at_all<D: Drive, T: Send>(
+pub fn look_at_all<D: SurveyedDrive, T: Send>(
     stretches: &[Stretch<'_, D>],
     at: impl Fn(&Part<'_>) -> Result<T, CalibrationError> + Sync,
 ) -> Result<Vec<T>, CalibrationError> {
@@ -78,7 +78,7 @@ pub fn look_at_all<D: Drive, T: Send>(
 }
 
 /// Sums over many stretches, one a thread at a time. `merge` must not care for order, as sums of integers do not.
-pub fn sum_over_all<D: Drive, T: Send + Sync + Clone>(
+pub fn sum_over_all<D: SurveyedDrive, T: Send + Sync + Clone>(
     stretches: &[Stretch<'_, D>],
     nothing: &T,
     add: impl Fn(&mut T, &Part<'_>) -> Result<(), CalibrationError> + Sync,

@@ -6,11 +6,11 @@ use std::time::Duration;
 use super::error::CalibrationError;
 use super::false_alarms::DriveScores;
 use super::survey::{Survey, SurveyFrame};
-use super::wanted::Wanted;
+use super::target::Target;
 use crate::capture::undefined::Undefined;
 use crate::features::attention::{EnergyMap, Upsampler};
 use crate::monitor::alarm::Reason;
-use crate::monitor::intake::Intake;
+use crate::monitor::extraction::Extraction;
 use crate::monitor::scorer::Scorer;
 use crate::reference::gap::Metric;
 use crate::reference::{Component, Nominal};
@@ -72,11 +72,12 @@ impl<'a> Part<'a> {
         components: &[Component],
     ) -> Result<Track, CalibrationError> {
         let width = Component::taken_len(components);
-        let mut intake = Intake::new(metric, components[0].taps.len(), self.survey.common_size);
+        let mut extraction =
+            Extraction::new(metric, components[0].taps.len(), self.survey.common_size);
         let mut taken = vec![0; width * self.frames.len()];
         let rows = taken.chunks_exact_mut(width.max(1));
         for (index, (frame, row)) in self.frames.iter().zip(rows).enumerate() {
-            intake
+            extraction
                 .take(&frame.maps, &frame.means, components, row)
                 .map_err(|why| self.wrong(index, why))?;
         }
@@ -90,7 +91,7 @@ impl<'a> Part<'a> {
     /// The drive through the detector from its reset: the score of each frame.
     pub fn scores(
         &self,
-        wanted: Wanted,
+        wanted: Target,
         components: &[Component],
     ) -> Result<DriveScores, CalibrationError> {
         let common_size = self.survey.common_size;
@@ -172,7 +173,7 @@ impl Track {
         columns: Range<usize>,
         frames: usize,
         nominal: &Nominal,
-        wanted: Wanted,
+        wanted: Target,
     ) -> Result<Vec<f64>, Undefined> {
         let mut gaps = Vec::new();
         for window in self.windows(wanted.window_s) {

@@ -11,7 +11,7 @@ use std::str::FromStr;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use gapwatch::can::Sink;
 use gapwatch::model::ModelOptions;
-use gapwatch::record::evidence::Quota;
+use gapwatch::record::events::Quota;
 use gapwatch::reference::gap::Metric;
 use gapwatch::reference::{WINDOW_S_MAX, WINDOW_S_MIN};
 

@@ -4,7 +4,7 @@ use std::io::Write;
 use std::path::Path;
 
 use anyhow::{Context, bail};
-use gapwatch::calibration::Wanted;
+use gapwatch::calibration::Target;
 use gapwatch::calibration::shard::Shard;
 use gapwatch::calibration::survey::store::SurveyStore;
 use gapwatch::capture::drives;
@@ -13,7 +13,7 @@ use gapwatch::reference::{NominalDrives, Reference, Role};
 use gapwatch::statistics::event_rate::{Hours, Loudness, ThreeDigits};
 
 use super::Model;
-use super::recipe::Recipe;
+use super::calibration_plan::CalibrationPlan;
 use crate::cli::args::CalibrateArgs;
 
 pub fn run(args: &CalibrateArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
@@ -35,24 +35,24 @@ pub fn run(args: &CalibrateArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
     if sources.is_empty() {
         bail!("no drive; wanted --sim, --accept, --held-out or --labelled");
     }
-    let wanted = Wanted {
+    let wanted = Target {
         metric: args.metric,
         window_s: args.window,
         false_alarms_per_hour: args.false_alarms_per_hour,
     };
     let model = Model::load(&args.model)?;
-    let recipe = Recipe::new(model.fingerprint.clone(), wanted, sources)?;
+    let plan = CalibrationPlan::new(model.fingerprint.clone(), wanted, sources)?;
     if !args.shard {
-        recipe.check_whole()?;
+        plan.check_whole()?;
     }
     let store = match &args.surveys {
         Some(folder) => SurveyStore::open(folder, &model.fingerprint)?,
         None => SurveyStore::temporary(&model.fingerprint)?,
     };
-    let mut found = recipe.find(&store, Some(&model.spec))?;
-    recipe.look(&mut found, &model, &store)?;
+    let mut found = plan.find(&store, Some(&model.spec))?;
+    plan.look(&mut found, &model, &store)?;
     if args.shard {
-        let sources = recipe.sources(&found)?;
+        let sources = plan.sources(&found)?;
         let (drives, frames) = (
             sources.len(),
             sources.iter().map(|of| of.frames).sum::<u64>(),
@@ -65,7 +65,7 @@ pub fn run(args: &CalibrateArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
         )?;
         return Ok(0);
     }
-    let reference = recipe.reference(found)?;
+    let reference = plan.reference(found)?;
     reference
         .write(&args.out)
         .context("cannot write the reference")?;

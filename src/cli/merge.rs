@@ -12,7 +12,7 @@ use gapwatch::reference::Role;
 
 use super::Model;
 use super::calibrate::describe;
-use super::recipe::Recipe;
+use super::calibration_plan::CalibrationPlan;
 use crate::cli::args::MergeArgs;
 
 pub fn run(args: &MergeArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
@@ -49,10 +49,10 @@ pub fn run(args: &MergeArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
     }
     let sources = || parts.iter().flat_map(|(_, part)| &part.sources);
     let drives = sources().map(|of| (of.role, of.source.clone())).collect();
-    let recipe = Recipe::new(model, first.wanted(), drives)?;
-    recipe.check_whole()?;
-    let store = SurveyStore::temporary(&recipe.model)?.reading(folders(args)?);
-    let mut found = recipe.find(&store, None)?;
+    let plan = CalibrationPlan::new(model, first.wanted(), drives)?;
+    plan.check_whole()?;
+    let store = SurveyStore::temporary(&plan.model)?.reading(folders(args)?);
+    let mut found = plan.find(&store, None)?;
     if found.missing() > 0 {
         log::warn!(
             "{} drives without a survey are looked at again; calibrate --surveys keeps them",
@@ -65,9 +65,9 @@ pub fn run(args: &MergeArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
                 first_path.display()
             );
         }
-        recipe.look(&mut found, &model, &store)?;
+        plan.look(&mut found, &model, &store)?;
     }
-    let frames: HashMap<(Role, String), u64> = recipe
+    let frames: HashMap<(Role, String), u64> = plan
         .sources(&found)?
         .into_iter()
         .map(|of| ((of.role, of.source), of.frames))
@@ -86,7 +86,7 @@ pub fn run(args: &MergeArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
             }
         }
     }
-    let reference = recipe.reference(found)?;
+    let reference = plan.reference(found)?;
     reference
         .write(&args.out)
         .context("cannot write the reference")?;

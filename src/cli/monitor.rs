@@ -28,7 +28,7 @@ use gapwatch::live::{JUDGE_WAITS, Orders, TICK, Word};
 use gapwatch::model::ModelOptions;
 use gapwatch::monitor::pipeline::Sight;
 use gapwatch::monitor::rate::Periods;
-use gapwatch::record::evidence::{Kept, Quota, Recorder};
+use gapwatch::record::events::{EventCounts, EventRecorder, Quota};
 use gapwatch::record::journal::{About, Journal};
 use gapwatch::reference::Reference;
 
@@ -172,7 +172,7 @@ pub(super) fn read_reference(board: &Board, file: &Path) -> anyhow::Result<Refer
 
 /// Keeps evidence where the command line or the board says so.
 /// A disk that takes no evidence costs no verdict.
-fn recorder(args: &MonitorArgs, board: &Board, model: &Model) -> Option<Recorder> {
+fn recorder(args: &MonitorArgs, board: &Board, model: &Model) -> Option<EventRecorder> {
     let (asked, on_board) = (args.evidence.as_ref(), board.evidence.as_ref());
     let folder = asked.or(on_board.map(|evidence| &evidence.folder))?;
     let quota = on_board.map_or_else(
@@ -182,7 +182,7 @@ fn recorder(args: &MonitorArgs, board: &Board, model: &Model) -> Option<Recorder
         },
         |evidence| evidence.quota,
     );
-    Recorder::start(folder, quota, &model.spec.taps)
+    EventRecorder::start(folder, quota, &model.spec.taps)
         .inspect_err(|error| {
             log::error!(
                 "cannot keep evidence in {}, and watches without: {error}",
@@ -270,7 +270,7 @@ struct Judge {
     sight: Sight,
     judging: Judging,
     words: Sender<Word>,
-    recorder: Option<Recorder>,
+    recorder: Option<EventRecorder>,
     /// A camera gives no more frames than are asked for, and each is judged as soon as it is there.
     live: bool,
     shared: Arc<Shared>,
@@ -278,7 +278,7 @@ struct Judge {
 
 impl Judge {
     /// Judges until there are no more frames or the monitor stops; gives what evidence was kept.
-    fn spawn(mut self) -> anyhow::Result<Receiver<anyhow::Result<Option<Kept>>>> {
+    fn spawn(mut self) -> anyhow::Result<Receiver<anyhow::Result<Option<EventCounts>>>> {
         let (says_how, ended) = channel();
         let thread = std::thread::Builder::new().name("judge".to_owned());
         let judge = thread.spawn(move || {
@@ -288,7 +288,7 @@ impl Judge {
             } = self;
             // The bus hears the end before evidence is written to its own.
             drop(words);
-            let kept = recorder.map(Recorder::finish);
+            let kept = recorder.map(EventRecorder::finish);
             // Nobody hears it when the end did not wait.
             let _ = says_how.send(judged.map(|()| kept));
         });

@@ -2,7 +2,7 @@
 
 use anyhow::anyhow;
 use gapwatch::calibration::survey::Keep;
-use gapwatch::calibration::{Domain, LabelledMeans, Wanted, calibrate};
+use gapwatch::calibration::{Domain, LabelledMeans, Target, calibrate};
 use gapwatch::reference::{Provenance, Reference};
 
 use super::Model;
@@ -15,7 +15,7 @@ pub fn made_for(model: &Model) -> anyhow::Result<Reference> {
         name: "simulation".to_owned(),
         drives: &surveys,
     };
-    let wanted = Wanted {
+    let wanted = Target {
         metric: "log-energy-js".parse().map_err(|why| anyhow!("{why}"))?,
         window_s: 1.0,
         false_alarms_per_hour: 1.0,

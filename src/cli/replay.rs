@@ -14,7 +14,7 @@ use gapwatch::live::outputs::{OutputError, Outputs};
 use gapwatch::monitor::alarm::AlarmState;
 use gapwatch::monitor::judge::Verdict;
 use gapwatch::monitor::pipeline::Monitor;
-use gapwatch::record::evidence::Recorder;
+use gapwatch::record::events::EventRecorder;
 use gapwatch::record::journal::{About, Journal, RecordingJournal};
 use gapwatch::reference::Reference;
 
@@ -64,8 +64,8 @@ pub fn run(args: &ReplayArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
         .evidence
         .as_deref()
         .map(|folder| {
-            Recorder::start(folder, args.quota(), &model.spec.taps)
-                .map(Recorder::patient)
+            EventRecorder::start(folder, args.quota(), &model.spec.taps)
+                .map(EventRecorder::patient)
                 .with_context(|| format!("cannot keep evidence in {}", folder.display()))
         })
         .transpose()?;
@@ -109,7 +109,7 @@ pub fn run(args: &ReplayArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
     } = told;
     live.finish();
     let finished = first(outputs.finish());
-    let kept = recorder.map(Recorder::finish);
+    let kept = recorder.map(EventRecorder::finish);
     ended?;
     finished?;
     summary.tell(began.elapsed(), out)?;
@@ -171,7 +171,7 @@ impl Told {
         &mut self,
         source: &mut dyn FrameSource,
         monitor: &mut Monitor,
-        mut recorder: Option<&mut Recorder>,
+        mut recorder: Option<&mut EventRecorder>,
         speed: Speed,
         stop: &AtomicBool,
         out: &mut dyn Write,

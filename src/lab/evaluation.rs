@@ -11,9 +11,9 @@ pub mod lane_failure;
 pub mod paper_table;
 mod ranking;
 mod resampling;
+pub mod scripts;
 pub mod separation;
 pub mod speed_error;
-pub mod watched;
 
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};

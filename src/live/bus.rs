@@ -8,8 +8,8 @@ use crate::can::receiver::{Heard, Receiver};
 use crate::can::sender::StatusSender;
 use crate::can::{CanSettings, CanSettingsError, SinkError, WarningSink};
 use crate::monitor::detector::BlockScore;
-use crate::monitor::health::Health;
 use crate::monitor::judge::Verdict;
+use crate::monitor::timing::Timing;
 use crate::reference::Reference;
 
 /// Shortest time between two lines of the program's log about the same trouble.
@@ -22,7 +22,7 @@ pub struct Bus {
     details: Option<DetailSender>,
     detail: GapDetail,
     sink: Box<dyn WarningSink>,
-    health: Health,
+    health: Timing,
     strict: bool,
     reference_id: u8,
     /// When the last judged frame was taken.
@@ -49,7 +49,7 @@ impl Bus {
             detail: GapDetail::default(),
             receiver: Receiver::new(&settings),
             sender: StatusSender::new(settings)?,
-            health: Health::default(),
+            health: Timing::default(),
             strict: reference.strict,
             reference_id: reference.id(),
             judged_at: None,

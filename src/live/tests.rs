@@ -37,7 +37,7 @@ use crate::monitor::detector::Evidence;
 use crate::monitor::judge::{Sighting, Verdict};
 use crate::monitor::pipeline::Look;
 use crate::monitor::rate::Periods;
-use crate::record::evidence::{Message, Recorder};
+use crate::record::events::{EventRecorder, Message};
 use crate::record::journal::{self, About, Journal};
 use crate::reference::Reference;
 use crate::statistics::random::SplitMix64;
@@ -95,7 +95,7 @@ struct World {
     teller: Teller,
     wire: Rc<RefCell<Wire>>,
     disk: SharedDisk,
-    recorder: Recorder,
+    recorder: EventRecorder,
     evidence: Receiver<Message>,
     script: Script,
     orders: Orders,
@@ -148,7 +148,7 @@ impl World {
             recording: None,
         };
         let service = Service::new(PERIODS.idle, Some(3_000 * MS));
-        let (recorder, evidence) = Recorder::in_memory(8);
+        let (recorder, evidence) = EventRecorder::in_memory(8);
         Self {
             dice,
             now: Duration::ZERO,

@@ -6,7 +6,7 @@ use crate::capture::undefined::Undefined;
 use crate::features::attention::EnergyMap;
 use crate::features::energies::BlockMeans;
 use crate::monitor::detector::{Detector, Evidence};
-use crate::monitor::intake::Intake;
+use crate::monitor::extraction::Extraction;
 use crate::monitor::profile::TapProfile;
 use crate::reference::gap::Metric;
 use crate::reference::{Component, Reference};
@@ -14,7 +14,7 @@ use crate::reference::{Component, Reference};
 /// Scores frames against some nominal domains. Keeps its buffers.
 pub struct Scorer {
     components: Vec<Component>,
-    intake: Intake,
+    extraction: Extraction,
     taken: Vec<u32>,
     detector: Detector,
 }
@@ -41,7 +41,7 @@ impl Scorer {
         let taps = components.first().map_or(0, |of| of.taps.len());
         let detector = Detector::of(metric, components.clone(), window_s);
         Self {
-            intake: Intake::new(metric, taps, common_size),
+            extraction: Extraction::new(metric, taps, common_size),
             taken: vec![0; detector.taken_len()],
             components,
             detector,
@@ -76,7 +76,7 @@ impl Scorer {
     /// # Errors
     /// Why a domain has no use for it.
     pub fn take(&mut self, maps: &[EnergyMap], means: &[BlockMeans]) -> Result<(), Undefined> {
-        self.intake
+        self.extraction
             .take(maps, means, &self.components, &mut self.taken)
     }
 

@@ -8,6 +8,26 @@
 //!
 //! `t_s` is when it was told, and never runs backwards; `captured_s` is when the frame was taken. In a replay, where time
 //! stands still while a frame is judged, they are the same. What a line does not know may be `null` or left out.
+//!
+//! ```
+//! use std::time::Duration;
+//!
+//! use gapwatch::capture::clock::ClockTime;
+//! use gapwatch::monitor::judge::Verdict;
+//! use gapwatch::record::journal::{self, About, Journal};
+//!
+//! # fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! let folder = tempfile::tempdir()?;
+//! let path = folder.path().join("drive.jsonl");
+//! let taps = ["e2".to_owned()];
+//! let mut journal = Journal::create(&path, &taps, &ClockTime::now(), &About::default())?;
+//! let verdict = Verdict { sequence: Some(0), ..Verdict::nothing_yet() };
+//! journal.add(Duration::ZERO, &verdict, Duration::from_millis(5))?;
+//! journal.finish()?;
+//! assert_eq!(journal::read(&path)?.entries.len(), 1);
+//! # Ok(())
+//! # }
+//! ```
 
 mod about;
 mod line;

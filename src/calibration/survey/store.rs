@@ -16,7 +16,7 @@ use serde::de::DeserializeOwned;
 use sha2::{Digest, Sha256};
 
 use super::{Keep, Survey};
-use crate::calibration::drive::{Drive, LabelledDrive, LabelledMeans, StoreError, VERSION};
+use crate::calibration::drive::{LabelledDrive, LabelledMeans, StoreError, SurveyedDrive, VERSION};
 use crate::features::attention::common_size;
 use crate::features::energies::BlockMeans;
 use crate::files::durable::create_folders;
@@ -39,7 +39,7 @@ pub struct SurveyStore {
 
 /// What is kept of a drive.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-pub enum Kept {
+pub enum SurveyKind {
     /// Energy maps and means of every frame.
     Maps,
     /// Means of every frame.
@@ -59,7 +59,7 @@ pub trait Content: Serialize + DeserializeOwned {
     }
 
     /// What is wrong with it, of a model and what was to be kept.
-    fn fault(&self, model: &ModelFingerprint, kept: Kept) -> Option<String>;
+    fn fault(&self, model: &ModelFingerprint, kept: SurveyKind) -> Option<String>;
 }
 
 /// A drive whose survey is on disk.
@@ -68,13 +68,13 @@ pub struct Stored<T> {
     path: PathBuf,
     key: String,
     source: String,
-    kept: Kept,
+    kept: SurveyKind,
     model: ModelFingerprint,
     frames: usize,
     content: PhantomData<fn() -> T>,
 }
 
-impl From<Keep> for Kept {
+impl From<Keep> for SurveyKind {
     fn from(keep: Keep) -> Self {
         match keep {
             Keep::Maps => Self::Maps,
@@ -133,7 +133,7 @@ impl SurveyStore {
     }
 
     /// The name of a drive's file, and the key inside.
-    fn key(&self, source: &str, kept: Kept) -> String {
+    fn key(&self, source: &str, kept: SurveyKind) -> String {
         let ModelFingerprint {
             name: _,
             sha256,
@@ -155,7 +155,7 @@ impl SurveyStore {
     pub fn find<T: Content>(
         &self,
         source: &str,
-        kept: Kept,
+        kept: SurveyKind,
         stamp: Option<&str>,
     ) -> Result<Option<Stored<T>>, StoreError> {
         let key = self.key(source, kept);
@@ -194,7 +194,7 @@ impl SurveyStore {
     pub fn keep<T: Content>(
         &self,
         source: &str,
-        kept: Kept,
+        kept: SurveyKind,
         stamp: &str,
         content: &T,
     ) -> Result<Stored<T>, StoreError> {
@@ -271,7 +271,7 @@ impl<T: Content> Stored<T> {
     }
 }
 
-impl Drive for Stored<Survey> {
+impl SurveyedDrive for Stored<Survey> {
     fn source(&self) -> &str {
         &self.source
     }
@@ -300,7 +300,7 @@ impl Content for Survey {
         self.frames.len()
     }
 
-    fn fault(&self, model: &ModelFingerprint, kept: Kept) -> Option<String> {
+    fn fault(&self, model: &ModelFingerprint, kept: SurveyKind) -> Option<String> {
         let (width, height) = (model.preprocessing.width, model.preprocessing.height);
         if self.common_size != common_size(width, height) {
             return Some(format!("maps compared at {:?}", self.common_size));
@@ -310,8 +310,8 @@ impl Content for Survey {
             return Some(format!("{times} times of {frames} frames"));
         }
         let maps = match kept {
-            Kept::Maps => model.taps.len(),
-            Kept::Means | Kept::Labelled => 0,
+            SurveyKind::Maps => model.taps.len(),
+            SurveyKind::Means | SurveyKind::Labelled => 0,
         };
         self.frames.iter().flatten().find_map(|frame| {
             let whole = frame.maps.len() == maps
@@ -332,7 +332,7 @@ impl Content for Vec<LabelledMeans> {
         self.len()
     }
 
-    fn fault(&self, model: &ModelFingerprint, _: Kept) -> Option<String> {
+    fn fault(&self, model: &ModelFingerprint, _: SurveyKind) -> Option<String> {
         self.iter()
             .find_map(|frame| means_fault(&frame.means, model))
     }
@@ -399,7 +399,7 @@ mod tests {
     }
 
     fn find(store: &SurveyStore, name: &str) -> Result<Option<Stored<Survey>>, StoreError> {
-        store.find(name, Kept::Maps, Some("today"))
+        store.find(name, SurveyKind::Maps, Some("today"))
     }
 
     #[test]
@@ -407,9 +407,11 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let store = SurveyStore::open(&folder.path().join("new"), &model("a")).unwrap();
         assert!(find(&store, "drive").unwrap().is_none());
-        store.keep("drive", Kept::Maps, "today", &survey()).unwrap();
+        store
+            .keep("drive", SurveyKind::Maps, "today", &survey())
+            .unwrap();
         let stored = find(&store, "drive").unwrap().unwrap();
-        assert_eq!(Drive::frames(&stored), 2);
+        assert_eq!(SurveyedDrive::frames(&stored), 2);
         // Their texts have every digit that tells one float from another.
         let read = format!("{:?}", stored.survey().unwrap());
         assert_eq!(read, format!("{:?}", survey()));
@@ -419,7 +421,9 @@ mod tests {
     fn what_is_of_another_model_time_kind_or_drive_is_not_found() {
         let folder = tempfile::tempdir().unwrap();
         let store = SurveyStore::open(folder.path(), &model("a")).unwrap();
-        store.keep("drive", Kept::Maps, "today", &survey()).unwrap();
+        store
+            .keep("drive", SurveyKind::Maps, "today", &survey())
+            .unwrap();
         assert!(find(&store, "other").unwrap().is_none());
         let other = |stamp, kept| {
             store
@@ -427,8 +431,8 @@ mod tests {
                 .unwrap()
                 .is_none()
         };
-        assert!(other(Some("tomorrow"), Kept::Maps) && other(None, Kept::Means));
-        assert!(!other(None, Kept::Maps));
+        assert!(other(Some("tomorrow"), SurveyKind::Maps) && other(None, SurveyKind::Means));
+        assert!(!other(None, SurveyKind::Maps));
         let of_b = SurveyStore::open(folder.path(), &model("b")).unwrap();
         assert!(find(&of_b, "drive").unwrap().is_none());
         let reading = SurveyStore::temporary(&model("a")).unwrap();
@@ -440,7 +444,9 @@ mod tests {
     fn whatever_is_changed_in_a_file_is_noticed() {
         let folder = tempfile::tempdir().unwrap();
         let store = SurveyStore::open(folder.path(), &model("a")).unwrap();
-        let stored = store.keep("drive", Kept::Maps, "today", &survey()).unwrap();
+        let stored = store
+            .keep("drive", SurveyKind::Maps, "today", &survey())
+            .unwrap();
         let whole = fs::read(&stored.path).unwrap();
         for place in 0..whole.len() {
             let mut changed = whole.clone();
@@ -465,12 +471,16 @@ mod tests {
                 ..survey()
             },
         ] {
-            store.keep("drive", Kept::Maps, "today", &wrong).unwrap();
+            store
+                .keep("drive", SurveyKind::Maps, "today", &wrong)
+                .unwrap();
             assert!(find(&store, "drive").is_err());
         }
         let mut wrong = survey();
         wrong.frames[0].as_mut().unwrap().maps[0].width = 3;
-        store.keep("drive", Kept::Maps, "today", &wrong).unwrap();
+        store
+            .keep("drive", SurveyKind::Maps, "today", &wrong)
+            .unwrap();
         assert!(find(&store, "drive").is_err());
     }
 }

@@ -7,7 +7,7 @@ use gapwatch::capture::pixels::Pixels;
 use gapwatch::capture::{Frame, open};
 use gapwatch::live::cost::quantile;
 use gapwatch::monitor::pipeline::Monitor;
-use gapwatch::record::evidence::{Quota, Recorder};
+use gapwatch::record::events::{EventRecorder, Quota};
 use gapwatch::reference::Reference;
 use serde::Serialize;
 
@@ -73,7 +73,7 @@ pub fn cost(
     };
     let (plain, foggy) = (pictures("")?, pictures("&condition=fog:5")?);
     let folder = tempfile::tempdir()?;
-    let mut recorder = Recorder::start(folder.path(), Quota::default(), &model.spec.taps)?;
+    let mut recorder = EventRecorder::start(folder.path(), Quota::default(), &model.spec.taps)?;
     let mut monitor = Monitor::new(&model.encoder, reference)?;
     let (mut off, mut on) = (Vec::new(), Vec::new());
     let began = Instant::now();

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use gapwatch::files::whole_file::unnamed;
-use gapwatch::record::evidence::{Found, examine};
+use gapwatch::record::events::{Found, examine};
 
 use super::Check;
 
@@ -133,9 +133,9 @@ mod tests {
         }
         assert!(here.path().join(".unfinished-000008").exists());
         // As the recorder would: not where another one writes, and not into a file.
-        let quota = gapwatch::record::evidence::Quota::default();
+        let quota = gapwatch::record::events::Quota::default();
         let recorder =
-            gapwatch::record::evidence::Recorder::start(here.path(), quota, &[]).unwrap();
+            gapwatch::record::events::EventRecorder::start(here.path(), quota, &[]).unwrap();
         assert!(evidence().result == Outcome::Fail);
         recorder.finish();
         assert!(evidence().result == Outcome::Pass);

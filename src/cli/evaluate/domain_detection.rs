@@ -2,7 +2,7 @@
 
 use gapwatch::lab::evaluation::binomial_interval;
 use gapwatch::lab::evaluation::domain_detection::{Detection, Event, WITHIN_S, detection};
-use gapwatch::lab::evaluation::watched::{Script, scores_of};
+use gapwatch::lab::evaluation::scripts::{Script, scores_of};
 use gapwatch::lab::scene::{ConditionKind, Look};
 
 use super::super::progress;

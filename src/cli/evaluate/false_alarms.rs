@@ -1,7 +1,7 @@
 //! False alarms on nominal drives: rows and table.
 
 use gapwatch::lab::evaluation::false_alarms::{self, FalseAlarmRate};
-use gapwatch::lab::evaluation::watched::{Script, scores_of};
+use gapwatch::lab::evaluation::scripts::{Script, scores_of};
 use gapwatch::statistics::event_rate::Loudness;
 use serde::{Deserialize, Serialize};
 

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use anyhow::bail;
 use gapwatch::calibration::survey::{Keep, Survey};
 use gapwatch::capture::drives;
-use gapwatch::lab::evaluation::field_sets::{Recording, Recordings};
+use gapwatch::lab::evaluation::field_sets::{ImageSequence, SequenceSet};
 use gapwatch::model::ModelOptions;
 
 use super::super::Model;
@@ -18,13 +18,13 @@ use crate::cli::args::EvaluateArgs;
 /// frames from another clip, 1.5 of town 05 and BeamNG.
 pub struct FieldSet {
     pub name: &'static str,
-    /// Its recordings, in the folder, and how many neighbouring images of each are a block.
+    /// Its sequences, in the folder, and how many neighbouring images of each are a block.
     sources: &'static [(&'static str, usize)],
     /// Roads or drives that they come from, as far as is known.
     drives: usize,
 }
 
-/// CARLA, clear day: every n-th image of ordered recordings in towns 01 to 03, and the last four in town 04.
+/// CARLA, clear day: every n-th image of ordered sequences in towns 01 to 03, and the last four in town 04.
 pub const TOWNS: FieldSet = FieldSet {
     name: "carla_town01-03",
     sources: &[("sim/carla_town01-03", 10)],
@@ -133,7 +133,7 @@ impl Field {
     }
 
     /// Looks at every image of a set.
-    pub fn look(&self, set: &FieldSet) -> anyhow::Result<Recordings> {
+    pub fn look(&self, set: &FieldSet) -> anyhow::Result<SequenceSet> {
         let Some(folder) = &self.folder else {
             bail!("{}: an image set; wanted --field DIR", set.name);
         };
@@ -144,36 +144,36 @@ impl Field {
             .collect();
         let surveys = self.model.survey(&sources, Keep::Maps, set.name)?;
         let blocks = set.sources.iter().map(|(_, block_images)| *block_images);
-        Ok(recordings(set.name, surveys, blocks, set.drives))
+        Ok(sequences(set.name, surveys, blocks, set.drives))
     }
 
     /// Looks at every frame of rendered drives; each is a block.
-    pub fn render(&self, name: &str, source: &str) -> anyhow::Result<Recordings> {
+    pub fn render(&self, name: &str, source: &str) -> anyhow::Result<SequenceSet> {
         let sources = drives(source)?;
         let surveys = self.model.survey(&sources, Keep::Maps, name)?;
         let blocks = std::iter::repeat(usize::MAX);
-        Ok(recordings(name, surveys, blocks, sources.len()))
+        Ok(sequences(name, surveys, blocks, sources.len()))
     }
 
     /// Looks at random pixels; every image is independent of the others.
-    pub fn random(&self, images: usize) -> anyhow::Result<Recordings> {
+    pub fn random(&self, images: usize) -> anyhow::Result<SequenceSet> {
         let source = format!("random:seed=1&frames={images}");
         let surveys = self.model.survey(&[source], Keep::Maps, "random")?;
-        Ok(recordings("random", surveys, std::iter::once(1), images))
+        Ok(sequences("random", surveys, std::iter::once(1), images))
     }
 }
 
-fn recordings(
+fn sequences(
     name: &str,
     surveys: Vec<Survey>,
     blocks: impl Iterator<Item = usize>,
     drives: usize,
-) -> Recordings {
-    let recordings = surveys.into_iter().zip(blocks);
-    Recordings {
+) -> SequenceSet {
+    let sequences = surveys.into_iter().zip(blocks);
+    SequenceSet {
         name: name.to_owned(),
-        recordings: recordings
-            .map(|(survey, block_images)| Recording {
+        sequences: sequences
+            .map(|(survey, block_images)| ImageSequence {
                 survey,
                 block_images,
             })

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::resampling::binomial_interval;
-use super::watched::{Script, Shown};
+use super::scripts::{Script, Shown};
 use crate::calibration::DriveScores;
 use crate::lab::scene::{Condition, ConditionKind, Look};
 use crate::monitor::alarm::AlarmState;

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::watched::{Script, Shown};
+use super::scripts::{Script, Shown};
 use crate::calibration::DriveScores;
 use crate::lab::scene::Look;
 use crate::statistics::bootstrap;

@@ -1,9 +1,9 @@
 //! How well each metric tells still sets and short clips of other roads from a reference's own domain, where no rate per
 //! hour exists: windows of `N` images against each other.
 //!
-//! Windows do not overlap and never span two recordings. Every set is cut into blocks of neighbouring images; a window
+//! Windows do not overlap and never span two sequences. Every set is cut into blocks of neighbouring images; a window
 //! belongs to the block it begins in, and blocks are what intervals resample. The reference stays as it is: intervals say
-//! what other moments of the same recordings would give, not what other roads would.
+//! what other moments of the same sequences would give, not what other roads would.
 
 use std::mem::discriminant;
 use std::ops::Range;
@@ -26,18 +26,18 @@ pub const WINDOWS: [usize; 3] = [1, 5, 10];
 /// Name of the largest score over the taps.
 pub const FUSED: &str = "fused";
 
-/// Recordings of one domain.
-pub struct Recordings {
+/// SequenceSet of one domain.
+pub struct SequenceSet {
     /// Name of the set.
     pub name: String,
     /// Each of them.
-    pub recordings: Vec<Recording>,
-    /// Roads or drives that the recordings come from, which is all that a statement about other roads could rest on.
+    pub sequences: Vec<ImageSequence>,
+    /// Roads or drives that the sequences come from, which is all that a statement about other roads could rest on.
     pub drives: usize,
 }
 
 /// Images in order, of which neighbours may show nearly the same.
-pub struct Recording {
+pub struct ImageSequence {
     /// What the encoder saw of them.
     pub survey: Survey,
     /// Images after which it has forgotten: a block. In a reference a multiple of the largest window.
@@ -47,11 +47,11 @@ pub struct Recording {
 /// A reference, unseen images of its own domain, and others.
 pub struct Case<'a> {
     /// Every second block of it makes histograms or moments, the others scale the taps' gaps against each other.
-    pub reference: &'a Recordings,
+    pub reference: &'a SequenceSet,
     /// What must not be told from it.
-    pub nominal: &'a Recordings,
+    pub nominal: &'a SequenceSet,
     /// What should be.
-    pub shifted: Vec<&'a Recordings>,
+    pub shifted: Vec<&'a SequenceSet>,
 }
 
 /// One set against a reference, by one metric and number of images a window.
@@ -177,7 +177,7 @@ pub struct FieldSetError {
     why: Undefined,
 }
 
-impl Recording {
+impl ImageSequence {
     /// Its blocks, in order.
     pub(super) fn blocks(&self) -> impl Iterator<Item = Range<usize>> + use<> {
         let (images, step) = (self.survey.frames.len(), self.block_images.max(1));
@@ -187,17 +187,17 @@ impl Recording {
     }
 }
 
-impl Recordings {
-    /// Images of all recordings.
+impl SequenceSet {
+    /// Images of all sequences.
     pub fn images(&self) -> usize {
-        let counts = self.recordings.iter().map(|of| of.survey.frames.len());
+        let counts = self.sequences.iter().map(|of| of.survey.frames.len());
         counts.sum()
     }
 
-    /// Its blocks: recording and images, for fitting (every second one) or for scaling.
+    /// Its blocks: sequence and images, for fitting (every second one) or for scaling.
     fn half(&self, fitting: bool) -> Vec<(usize, Range<usize>)> {
-        let all = self.recordings.iter().enumerate();
-        all.flat_map(|(index, recording)| recording.blocks().map(move |block| (index, block)))
+        let all = self.sequences.iter().enumerate();
+        all.flat_map(|(index, sequence)| sequence.blocks().map(move |block| (index, block)))
             .enumerate()
             .filter(|(number, _)| number.is_multiple_of(2) == fitting)
             .map(|(_, block)| block)
@@ -220,11 +220,11 @@ enum Taken {
 }
 
 impl Kind {
-    fn fit(reference: &Recordings, metric: Metric, tap: usize) -> Result<Self, Undefined> {
+    fn fit(reference: &SequenceSet, metric: Metric, tap: usize) -> Result<Self, Undefined> {
         let fitting = reference.half(true);
         let frames = || {
             let of = |(index, block): &(usize, Range<usize>)| {
-                reference.recordings[*index].survey.frames[block.clone()].iter()
+                reference.sequences[*index].survey.frames[block.clone()].iter()
             };
             fitting.iter().flat_map(of)
         };
@@ -248,12 +248,12 @@ impl Kind {
             return Ok(Self::Sums(Nominal::Energies(norm)));
         }
         let mut maps = Vec::new();
-        for (index, recording) in reference.recordings.iter().enumerate() {
+        for (index, sequence) in reference.sequences.iter().enumerate() {
             let own = || fitting.iter().filter(|(of, _)| *of == index);
             if own().next().is_none() {
                 continue;
             }
-            for (image, map) in recording.survey.common_maps(tap).enumerate() {
+            for (image, map) in sequence.survey.common_maps(tap).enumerate() {
                 if own().any(|(_, block)| block.contains(&image)) {
                     maps.push(map?);
                 }
@@ -267,7 +267,7 @@ impl Kind {
         }))
     }
 
-    /// What is taken of every image of a recording.
+    /// What is taken of every image of a sequence.
     fn take(&self, survey: &Survey, tap: usize) -> Vec<Result<Taken, Undefined>> {
         match self {
             Self::Activations(_) => {
@@ -307,22 +307,22 @@ impl Kind {
     /// Gaps of the windows of some blocks, by metric of the kind and number of images.
     fn gaps(
         &self,
-        of: &Recordings,
+        of: &SequenceSet,
         chosen: &dyn Fn(usize) -> bool,
         kind: &[Metric],
         tap: usize,
     ) -> Vec<Vec<Gaps>> {
         let mut gaps = vec![vec![Gaps::new(); WINDOWS.len()]; kind.len()];
         let mut number = 0;
-        for recording in &of.recordings {
-            let taken = self.take(&recording.survey, tap);
-            for block in recording.blocks() {
+        for sequence in &of.sequences {
+            let taken = self.take(&sequence.survey, tap);
+            for block in sequence.blocks() {
                 number += 1;
                 if !chosen(number - 1) {
                     continue;
                 }
                 for (window, &images) in WINDOWS.iter().enumerate() {
-                    // Windows follow each other from the recording's first image on.
+                    // Windows follow each other from the sequence's first image on.
                     let starts = (block.start.next_multiple_of(images)..block.end).step_by(images);
                     let windows = starts.filter_map(|from| taken.get(from..from + images));
                     let compared: Vec<Vec<Result<f64, Undefined>>> =

@@ -15,7 +15,7 @@ use super::ranking::{auroc, spearman};
 use super::resampling::binomial_interval;
 use crate::calibration::survey::{Keep, Survey};
 use crate::calibration::{
-    Calibrated, CalibrationError, Domain, DriveScores, LabelledMeans, Wanted, calibrate,
+    Calibrated, CalibrationError, Domain, DriveScores, LabelledMeans, Target, calibrate,
     drive_scores, is_judging,
 };
 use crate::features::lane::Overlap;
@@ -181,7 +181,7 @@ pub fn rows(
 }
 
 /// Thresholds of a method, and what it says of the drives that judge them.
-struct Judge {
+struct Thresholds {
     components: Vec<Component>,
     /// By rate, the factor on the thresholds of the components.
     factors: Vec<f64>,
@@ -251,9 +251,9 @@ impl Looked {
         let (fitted, held_out) = (views(&self.fitted), views(&self.held_out));
         let judge = |left_out: Option<ConditionKind>| {
             let labelled = self.labelled_without(method, left_out);
-            Judge::new(method, &self.taps, &fitted, &held_out, &labelled)
+            Thresholds::new(method, &self.taps, &fitted, &held_out, &labelled)
         };
-        let judges: Vec<(Option<ConditionKind>, Judge)> = match method {
+        let judges: Vec<(Option<ConditionKind>, Thresholds)> = match method {
             Method::LaneRiskOfOtherKinds => ConditionKind::ALL
                 .into_iter()
                 .map(|kind| Ok((Some(kind), judge(Some(kind))?)))
@@ -334,7 +334,7 @@ fn drive_spec(seed: u64, seconds: f64, fps: f64) -> DriveSpec {
     }
 }
 
-impl Judge {
+impl Thresholds {
     fn new(
         method: Method,
         taps: &[String],
@@ -346,7 +346,7 @@ impl Judge {
             name: "simulation".to_owned(),
             drives: fitted,
         };
-        let wanted = Wanted {
+        let wanted = Target {
             metric: method.metric(),
             window_s: method.window_s(),
             false_alarms_per_hour: RATES_PER_HOUR[0],

@@ -8,7 +8,7 @@
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::field_sets::Recordings;
+use super::field_sets::SequenceSet;
 use crate::calibration::survey::Survey;
 use crate::calibration::{PaperBinning, TapHistogram, counts_of};
 use crate::capture::undefined::Undefined;
@@ -64,9 +64,9 @@ pub struct SetSimilarity {
 /// The sets of a table, most similar first as the paper has them.
 pub struct Sets<'a> {
     /// What the others are compared with.
-    pub reference: &'a Recordings,
+    pub reference: &'a SequenceSet,
     /// The others.
-    pub sets: Vec<&'a Recordings>,
+    pub sets: Vec<&'a SequenceSet>,
 }
 
 /// Rows of a table: metric by metric, tap by tap.
@@ -100,7 +100,7 @@ enum Counting {
 fn row(of: &Sets<'_>, tap_name: &str, metric: Metric, tap: usize) -> PaperRow {
     let images = of.sets.iter().map(|set| set.images()).min().unwrap_or(0);
     let counting = Counting::fit(of.reference, metric, tap);
-    let take = |set: &Recordings, images: usize| {
+    let take = |set: &SequenceSet, images: usize| {
         let counting = counting.as_ref().map_err(Undefined::clone)?;
         counting.take(set, images, tap)
     };
@@ -239,9 +239,9 @@ fn sums(blocks: &[Block], times: &[u32]) -> (Vec<u64>, usize) {
 }
 
 impl Counting {
-    fn fit(reference: &Recordings, metric: Metric, tap: usize) -> Result<Self, Undefined> {
+    fn fit(reference: &SequenceSet, metric: Metric, tap: usize) -> Result<Self, Undefined> {
         if metric == Metric::Mahalanobis {
-            let frames = reference.recordings.iter().flat_map(|of| &of.survey.frames);
+            let frames = reference.sequences.iter().flat_map(|of| &of.survey.frames);
             let peaks =
                 frames.map(|frame| Ok(frame.as_ref().map_err(Undefined::clone)?.peaks[tap]));
             let peak = median(peaks.collect::<Result<_, Undefined>>()?);
@@ -250,7 +250,7 @@ impl Counting {
             ));
         }
         let maps = reference
-            .recordings
+            .sequences
             .iter()
             .flat_map(|of| of.survey.common_maps(tap));
         let maps = maps.collect::<Result<Vec<EnergyMap>, _>>()?;
@@ -260,13 +260,13 @@ impl Counting {
     }
 
     /// Takes so many images of a set, evenly spread, and sums them block by block.
-    fn take(&self, set: &Recordings, images: usize, tap: usize) -> Result<Vec<Block>, Undefined> {
+    fn take(&self, set: &SequenceSet, images: usize, tap: usize) -> Result<Vec<Block>, Undefined> {
         let all = set.images();
         let mut chosen = (0..images).map(|index| index * all / images).peekable();
         let (mut blocks, mut before) = (Vec::new(), 0);
-        for recording in &set.recordings {
-            let numbers = self.numbers(&recording.survey, tap);
-            for range in recording.blocks() {
+        for sequence in &set.sequences {
+            let numbers = self.numbers(&sequence.survey, tap);
+            for range in sequence.blocks() {
                 let mut block = Block {
                     images: 0,
                     sums: Vec::new(),
@@ -287,7 +287,7 @@ impl Counting {
         Ok(blocks)
     }
 
-    /// What is taken of every image of a recording.
+    /// What is taken of every image of a sequence.
     fn numbers(&self, survey: &Survey, tap: usize) -> Vec<Result<Vec<u32>, Undefined>> {
         match self {
             Self::Histogram(binning) => survey
@@ -345,14 +345,14 @@ impl Block {
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used, clippy::float_cmp)]
-    use super::super::field_sets::tests::recordings;
+    use super::super::field_sets::tests::sequences;
     use super::*;
 
     #[test]
     fn sets_that_lie_farther_and_farther_off_are_in_order() {
-        let reference = recordings("reference", &[40], 1, 1.0);
+        let reference = sequences("reference", &[40], 1, 1.0);
         let sets = [("near", 1.0), ("farther", 2.0), ("far", 9.0)]
-            .map(|(name, level)| recordings(name, &[30, 5], 1, level));
+            .map(|(name, level)| sequences(name, &[30, 5], 1, level));
         let table = |order: [usize; 3]| Sets {
             reference: &reference,
             sets: order.map(|index| &sets[index]).to_vec(),
@@ -378,10 +378,10 @@ mod tests {
 
     #[test]
     fn equally_many_images_are_taken_evenly_spread() {
-        let reference = recordings("reference", &[40], 10, 1.0);
+        let reference = sequences("reference", &[40], 10, 1.0);
         let (few, many) = (
-            recordings("few", &[7], 2, 1.0),
-            recordings("many", &[30, 12], 10, 1.0),
+            sequences("few", &[7], 2, 1.0),
+            sequences("many", &[30, 12], 10, 1.0),
         );
         let sets = Sets {
             reference: &reference,
@@ -393,15 +393,15 @@ mod tests {
             .iter()
             .map(|set| (set.images, set.blocks))
             .collect();
-        // Images 0, 6, 12, .. 36 of many: three blocks of ten, and the last two in the second recording.
+        // Images 0, 6, 12, .. 36 of many: three blocks of ten, and the last two in the second sequence.
         assert_eq!((row.blocks, counted), (4, vec![(7, 4), (7, 4)]));
     }
 
     #[test]
     fn undefined_stays_undefined_with_its_reason() {
-        let reference = recordings("reference", &[40], 10, 1.0);
-        let mut black = recordings("black", &[20], 10, 1.0);
-        black.recordings[0].survey.frames[19] = Err(Undefined::Black);
+        let reference = sequences("reference", &[40], 10, 1.0);
+        let mut black = sequences("black", &[20], 10, 1.0);
+        black.sequences[0].survey.frames[19] = Err(Undefined::Black);
         let sets = Sets {
             reference: &reference,
             sets: vec![&reference, &black],

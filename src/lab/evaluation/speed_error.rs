@@ -12,7 +12,7 @@ use super::lane_failure::{
 use super::resampling::binomial_interval;
 use crate::calibration::survey::{Survey, SurveyFrame};
 use crate::calibration::{
-    Domain, DriveScores, LabelledMeans, Wanted, calibrate, drive_scores, is_judging,
+    Domain, DriveScores, LabelledMeans, Target, calibrate, drive_scores, is_judging,
 };
 use crate::lab::labelled::LabelledSurvey;
 use crate::model::encoder::Encoder;
@@ -175,7 +175,7 @@ impl<'a> Point<'a> {
             name: "simulation".to_owned(),
             drives: &fitted,
         };
-        let wanted = Wanted {
+        let wanted = Target {
             metric,
             window_s,
             false_alarms_per_hour: RATES_PER_HOUR[0],

@@ -6,7 +6,7 @@ use std::path::Path;
 use crate::capture::clock::ClockTime;
 use crate::monitor::alarm::AlarmState;
 use crate::monitor::profile::TapProfile;
-use crate::record::evidence::{self, Moment};
+use crate::record::events::{self, Moment};
 use crate::record::journal::{About, Entry, Reading};
 
 /// Times that differ less are the same: the journal writes every digit.
@@ -27,12 +27,12 @@ pub struct Report {
     pub(super) alarms: Vec<Alarm>,
     pub(super) taps: Vec<String>,
     /// By the alarm's place.
-    pub(super) shown: BTreeMap<usize, Evidence>,
+    pub(super) shown: BTreeMap<usize, ShownEvent>,
 }
 
 /// What is kept of an alarm.
 #[derive(Debug, Default)]
-pub struct Evidence {
+pub struct ShownEvent {
     pub(super) pictures: Vec<Shown>,
     /// The window at the gap's beginning, or, where it came to none, at the suspicion's; one entry a tap.
     pub(super) profiles: Vec<TapProfile>,
@@ -101,8 +101,8 @@ impl Report {
     ///
     /// # Errors
     /// When the folder or a file in it cannot be read.
-    pub fn show(&mut self, folder: &Path) -> Result<(), evidence::ReadError> {
-        for (folder, event) in evidence::read(folder)? {
+    pub fn show(&mut self, folder: &Path) -> Result<(), events::ReadError> {
+        for (folder, event) in events::read(folder)? {
             let began = &event.moments[event.edge];
             let place = self.alarms.iter().position(|alarm| {
                 let (first, _, next) = alarm.lines;
@@ -125,13 +125,13 @@ impl Report {
             for moment in thinned(&event.moments, event.edge) {
                 let caption = format!("{:.2} s, {}", moment.t_s, moment.state);
                 shown.push(Shown {
-                    jpeg: evidence::picture(&folder, &moment.frame)?,
+                    jpeg: events::picture(&folder, &moment.frame)?,
                     caption: caption.clone(),
                     tap: None,
                 });
                 for (tap, file) in &moment.heat {
                     shown.push(Shown {
-                        jpeg: evidence::picture(&folder, file)?,
+                        jpeg: events::picture(&folder, file)?,
                         caption: caption.clone(),
                         tap: Some(tap.clone()),
                     });

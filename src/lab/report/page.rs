@@ -6,7 +6,7 @@ use serde::Serialize;
 use sha2::{Digest, Sha256};
 
 use super::chart;
-use super::content::{Alarm, Evidence, Report, Shown};
+use super::content::{Alarm, Report, Shown, ShownEvent};
 use super::text::{Escaped, Text};
 use crate::monitor::alarm::AlarmState;
 use crate::record::journal::Entry;
@@ -315,7 +315,7 @@ fn alarms(report: &Report, out: &mut String) -> fmt::Result {
 fn behind(
     report: &Report,
     alarm: &Alarm,
-    shown: Option<&Evidence>,
+    shown: Option<&ShownEvent>,
     out: &mut String,
 ) -> fmt::Result {
     let (first, worst, next) = alarm.lines;
@@ -325,7 +325,7 @@ fn behind(
         "<div class=\"closer\" data-from=\"{}\" data-to=\"{}\"></div>",
         alarm.from_s, alarm.to_s
     )?;
-    if let Some(Evidence {
+    if let Some(ShownEvent {
         pictures: shown,
         profiles,
     }) = shown

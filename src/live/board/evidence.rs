@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use crate::files::toml_keys::{self, Keys, Kind, Wrong};
-use crate::record::evidence::Quota;
+use crate::record::events::Quota;
 
 const DAY: Duration = Duration::from_secs(86_400);
 /// How long an event is kept, unless the board says otherwise: pictures show people.

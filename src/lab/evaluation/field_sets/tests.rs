@@ -6,8 +6,8 @@ use crate::calibration::survey::SurveyFrame;
 use crate::features::energies::BlockMeans;
 use crate::statistics::random::SplitMix64;
 
-/// Recordings of maps of 8x4 with four energies, which vary by chance around a level.
-pub fn recordings(name: &str, images: &[usize], block_images: usize, level: f64) -> Recordings {
+/// SequenceSet of maps of 8x4 with four energies, which vary by chance around a level.
+pub fn sequences(name: &str, images: &[usize], block_images: usize, level: f64) -> SequenceSet {
     let mut dice = SplitMix64::new(name.bytes().map(u64::from).sum());
     let mut frame = || {
         let around = 1.0 + f64::from(dice.byte()) / 256.0;
@@ -29,7 +29,7 @@ pub fn recordings(name: &str, images: &[usize], block_images: usize, level: f64)
             means: vec![means; 2],
         }
     };
-    let recordings = images.iter().map(|&images| Recording {
+    let sequences = images.iter().map(|&images| ImageSequence {
         survey: Survey {
             source: name.to_owned(),
             times: (0..images as u64).map(Duration::from_secs).collect(),
@@ -38,17 +38,17 @@ pub fn recordings(name: &str, images: &[usize], block_images: usize, level: f64)
         },
         block_images,
     });
-    Recordings {
+    SequenceSet {
         name: name.to_owned(),
-        recordings: recordings.collect(),
+        sequences: sequences.collect(),
         drives: 1,
     }
 }
 
-fn found(shifted: &Recordings) -> Vec<FieldSetRow> {
+fn found(shifted: &SequenceSet) -> Vec<FieldSetRow> {
     let case = Case {
-        reference: &recordings("town", &[60, 60], 10, 1.0),
-        nominal: &recordings("other town", &[47], 5, 1.0),
+        reference: &sequences("town", &[60, 60], 10, 1.0),
+        nominal: &sequences("other town", &[47], 5, 1.0),
         shifted: vec![shifted],
     };
     let taps = ["e2", "e3"].map(str::to_owned);
@@ -57,7 +57,7 @@ fn found(shifted: &Recordings) -> Vec<FieldSetRow> {
 
 #[test]
 fn windows_are_disjoint_lie_in_one_recording_and_are_counted_with_their_blocks() {
-    let rows = found(&recordings("road", &[23, 9], 4, 30.0));
+    let rows = found(&sequences("road", &[23, 9], 4, 30.0));
     assert_eq!(rows.len(), Metric::of_sets().len() * WINDOWS.len());
     for row in &rows {
         if row.metric == Metric::Frechet {
@@ -82,7 +82,7 @@ fn windows_are_disjoint_lie_in_one_recording_and_are_counted_with_their_blocks()
 #[test]
 fn another_level_of_energy_is_told_apart_and_the_same_is_not() {
     for (level, least, most) in [(30.0, 0.99, 1.0), (1.0, 0.2, 0.8)] {
-        let rows = found(&recordings("road", &[60], 5, level));
+        let rows = found(&sequences("road", &[60], 5, level));
         let row = rows.iter().find(|row| row.metric == Metric::Mahalanobis);
         for tap in &row.unwrap().taps {
             let auroc = tap.auroc.unwrap();
@@ -98,8 +98,8 @@ fn another_level_of_energy_is_told_apart_and_the_same_is_not() {
 
 #[test]
 fn what_is_undefined_says_why_and_what_cannot_be_judged_is_left_out() {
-    let mut road = recordings("road", &[20], 5, 30.0);
-    road.recordings[0].survey.frames[7] = Err(Undefined::Black);
+    let mut road = sequences("road", &[20], 5, 30.0);
+    road.sequences[0].survey.frames[7] = Err(Undefined::Black);
     let rows = found(&road);
     let of = |metric: Metric, images: usize| {
         let row = rows
@@ -121,11 +121,11 @@ fn what_is_undefined_says_why_and_what_cannot_be_judged_is_left_out() {
 
 #[test]
 fn a_reference_that_cannot_be_judged_is_named() {
-    let mut town = recordings("town", &[60], 10, 1.0);
-    town.recordings[0].survey.frames[3] = Err(Undefined::Uniform);
+    let mut town = sequences("town", &[60], 10, 1.0);
+    town.sequences[0].survey.frames[3] = Err(Undefined::Uniform);
     let case = Case {
         reference: &town,
-        nominal: &recordings("other town", &[20], 5, 1.0),
+        nominal: &sequences("other town", &[20], 5, 1.0),
         shifted: vec![],
     };
     let said = rows(&case, &["e2".to_owned()], &|| {})

@@ -11,12 +11,12 @@ const RATE_SPAN: Duration = Duration::from_secs(1);
 
 /// Figures of the last frames. Allocates nothing.
 #[derive(Debug, Default)]
-pub struct Health {
+pub struct Timing {
     latencies: HistoryBuf<Duration, FRAMES>,
     judged_at: HistoryBuf<Duration, FRAMES>,
 }
 
-impl Health {
+impl Timing {
     /// Notes a frame, when it was taken and how long it took, and whether it could be judged.
     pub fn note(&mut self, at: Duration, latency: Duration, judged: bool) {
         self.latencies.write(latency);
@@ -53,7 +53,7 @@ mod tests {
 
     #[test]
     fn rates_and_percentiles_of_the_last_frames() {
-        let mut health = Health::default();
+        let mut health = Timing::default();
         assert_eq!(health.latency(0.5), None);
         for i in 0..500_u64 {
             health.note(

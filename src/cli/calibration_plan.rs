@@ -8,10 +8,10 @@ use std::collections::HashSet;
 use anyhow::{Context, bail};
 use gapwatch::calibration::drive::StoreError;
 use gapwatch::calibration::shard::ShardSource;
-use gapwatch::calibration::survey::store::{Content, Kept, Stored, SurveyStore};
+use gapwatch::calibration::survey::store::{Content, Stored, SurveyKind, SurveyStore};
 use gapwatch::calibration::survey::{Keep, Survey};
 use gapwatch::calibration::{
-    Calibrated, Domain, Drive, LabelledDrive, LabelledMeans, Wanted, calibrate, looks,
+    Calibrated, Domain, LabelledDrive, LabelledMeans, SurveyedDrive, Target, calibrate, looks,
 };
 use gapwatch::capture::{open, ranges, sort_drives, stamp, template};
 use gapwatch::model::encoder::Encoder;
@@ -30,9 +30,9 @@ use super::{Model, frames_max, progress};
 const SIMULATION: &str = "simulation";
 
 /// Drives by role, sorted, for thresholds of a kind.
-pub struct Recipe {
+pub struct CalibrationPlan {
     pub model: ModelFingerprint,
-    pub wanted: Wanted,
+    pub wanted: Target,
     simulation: Vec<String>,
     /// One entry a domain.
     accepted: Vec<Vec<String>>,
@@ -40,18 +40,18 @@ pub struct Recipe {
     labelled: Vec<String>,
 }
 
-/// What is at hand of a recipe's drives.
+/// What is at hand of a plan's drives.
 pub struct Found {
     /// Of the simulation, each accepted domain and the held-out drives, in this order.
     drives: Vec<Option<Stored<Survey>>>,
     labelled: Vec<Option<Stored<Vec<LabelledMeans>>>>,
 }
 
-impl Recipe {
+impl CalibrationPlan {
     /// Sorts drives; accepted ones that differ in their seeds alone are one domain.
     pub fn new(
         model: ModelFingerprint,
-        wanted: Wanted,
+        wanted: Target,
         drives: Vec<(Role, String)>,
     ) -> anyhow::Result<Self> {
         let of_role = |wanted: Role| {
@@ -61,7 +61,7 @@ impl Recipe {
             names
         };
         let accepted = of_role(Role::Accepted);
-        let recipe = Self {
+        let plan = Self {
             model,
             wanted,
             simulation: of_role(Role::Simulation),
@@ -73,34 +73,34 @@ impl Recipe {
             labelled: of_role(Role::Labelled),
         };
         let mut seen = HashSet::new();
-        let nominal = recipe.nominal();
+        let nominal = plan.nominal();
         if let Some(twice) = nominal.iter().find(|&source| !seen.insert(source)) {
             bail!("source {twice} is given twice; held-out drives must be others than fitted ones");
         }
         let mut seen = HashSet::new();
-        if let Some(twice) = recipe.labelled.iter().find(|&source| !seen.insert(source)) {
+        if let Some(twice) = plan.labelled.iter().find(|&source| !seen.insert(source)) {
             bail!("labelled drive {twice} is given twice");
         }
-        if recipe.accepted.len() >= COMPONENTS_MAX {
+        if plan.accepted.len() >= COMPONENTS_MAX {
             bail!(
                 "{} accepted domains; wanted at most {}: one source may stand for many drives, as in seed=1..60",
-                recipe.accepted.len(),
+                plan.accepted.len(),
                 COMPONENTS_MAX - 1
             );
         }
         let risk = wanted.metric == Metric::LaneRisk;
-        if !risk && !recipe.labelled.is_empty() {
+        if !risk && !plan.labelled.is_empty() {
             bail!("--metric lane-risk and --labelled belong together; wanted both or neither");
         }
-        if risk && !recipe.accepted.is_empty() {
+        if risk && !plan.accepted.is_empty() {
             bail!(
                 "--metric lane-risk judges any road by what the lane model loses; wanted no --accept"
             );
         }
-        for name in &recipe.labelled {
+        for name in &plan.labelled {
             labelled::frame_count(name)?;
         }
-        Ok(recipe)
+        Ok(plan)
     }
 
     /// Refuses drives of which no reference can be made.
@@ -138,7 +138,7 @@ impl Recipe {
             let find = |kept| found(store, name, kept, stamp.as_deref());
             match (find(self.keep().into())?, self.keep()) {
                 // Beside maps there are means too.
-                (None, Keep::Means) => Ok(find(Kept::Maps)?),
+                (None, Keep::Means) => Ok(find(SurveyKind::Maps)?),
                 (there, _) => Ok(there),
             }
         });
@@ -146,7 +146,7 @@ impl Recipe {
         let labelled = self
             .labelled
             .par_iter()
-            .map(|name| Ok(found(store, name, Kept::Labelled, lane.as_deref())?));
+            .map(|name| Ok(found(store, name, SurveyKind::Labelled, lane.as_deref())?));
         Ok(Found {
             drives: drives.collect::<anyhow::Result<_>>()?,
             labelled: labelled.collect::<anyhow::Result<_>>()?,
@@ -222,7 +222,7 @@ impl Recipe {
         let bar = progress::frames(Some(missing.len() as u64), "labelled drives");
         missing.into_par_iter().try_for_each(|(name, place)| {
             let frames = labelled::frames(name, &encoder, &spec.preprocessing)?;
-            *place = Some(store.keep(name, Kept::Labelled, &lane_stamp(spec), &frames)?);
+            *place = Some(store.keep(name, SurveyKind::Labelled, &lane_stamp(spec), &frames)?);
             bar.inc(1);
             anyhow::Ok(())
         })?;
@@ -238,7 +238,7 @@ impl Recipe {
             .chain(of(self.held_out.clone(), Role::HeldOut));
         let mut sources = Vec::new();
         for ((source, role), drive) in nominal.zip(&found.drives) {
-            let frames = drive.as_ref().map_or(0, Drive::frames) as u64;
+            let frames = drive.as_ref().map_or(0, SurveyedDrive::frames) as u64;
             sources.push(ShardSource {
                 source,
                 role,
@@ -260,8 +260,8 @@ impl Recipe {
         let drives = all(found.drives)?;
         let labelled = all(found.labelled)?;
         let bar = progress::over(Some(0), "thresholds", "looks at drives");
-        let drives: Vec<Watched<'_, _>> = watched(&drives, &bar);
-        let labelled: Vec<Watched<'_, _>> = watched(&labelled, &bar);
+        let drives: Vec<CountedDrive<'_, _>> = counted(&drives, &bar);
+        let labelled: Vec<CountedDrive<'_, _>> = counted(&labelled, &bar);
         let (simulation, mut rest) = drives.split_at(self.simulation.len());
         let mut domains = vec![Domain {
             name: SIMULATION.to_owned(),
@@ -320,7 +320,7 @@ impl Recipe {
         add("--accept", &ranges(&self.accepted.concat()));
         add("--held-out", &ranges(&self.held_out));
         add("--labelled", &ranges(&self.labelled));
-        let Wanted {
+        let Target {
             metric,
             window_s,
             false_alarms_per_hour,
@@ -354,22 +354,25 @@ impl Recipe {
 }
 
 /// A drive whose looks are counted.
-struct Watched<'a, T> {
+struct CountedDrive<'a, T> {
     drive: &'a Stored<T>,
     bar: &'a ProgressBar,
 }
 
-fn watched<'a, T>(drives: &'a [Stored<T>], bar: &'a ProgressBar) -> Vec<Watched<'a, T>> {
-    drives.iter().map(|drive| Watched { drive, bar }).collect()
+fn counted<'a, T>(drives: &'a [Stored<T>], bar: &'a ProgressBar) -> Vec<CountedDrive<'a, T>> {
+    drives
+        .iter()
+        .map(|drive| CountedDrive { drive, bar })
+        .collect()
 }
 
-impl Drive for Watched<'_, Survey> {
+impl SurveyedDrive for CountedDrive<'_, Survey> {
     fn source(&self) -> &str {
         self.drive.source()
     }
 
     fn frames(&self) -> usize {
-        Drive::frames(self.drive)
+        SurveyedDrive::frames(self.drive)
     }
 
     fn survey(&self) -> Result<Cow<'_, Survey>, StoreError> {
@@ -378,7 +381,7 @@ impl Drive for Watched<'_, Survey> {
     }
 }
 
-impl LabelledDrive for Watched<'_, Vec<LabelledMeans>> {
+impl LabelledDrive for CountedDrive<'_, Vec<LabelledMeans>> {
     fn frames(&self) -> usize {
         LabelledDrive::frames(self.drive)
     }
@@ -402,7 +405,7 @@ impl Found {
 fn found<T: Content>(
     store: &SurveyStore,
     name: &str,
-    kept: Kept,
+    kept: SurveyKind,
     stamp: Option<&str>,
 ) -> Result<Option<Stored<T>>, StoreError> {
     match store.find(name, kept, stamp) {

@@ -7,7 +7,7 @@ use crate::reference::Component;
 use crate::reference::gap::Metric;
 
 /// Takes frames in for some nominal domains. Keeps its buffers.
-pub struct Intake {
+pub struct Extraction {
     /// Energy maps are looked at, not only means.
     needs_maps: bool,
     /// Size that maps are resampled to, width and height.
@@ -18,7 +18,7 @@ pub struct Intake {
     common: Vec<EnergyMap>,
 }
 
-impl Intake {
+impl Extraction {
     /// For frames of `taps` blocks whose maps are compared at `common_size`.
     pub fn new(metric: Metric, taps: usize, common_size: (usize, usize)) -> Self {
         Self {

@@ -4,7 +4,7 @@ use crate::reference::gap::Metric;
 
 /// What a reference is to be like.
 #[derive(Clone, Copy, Debug)]
-pub struct Wanted {
+pub struct Target {
     /// How gaps are measured.
     pub metric: Metric,
     /// Length of the detector's window, seconds.

@@ -25,4 +25,4 @@ pub use quota::Quota;
 pub use reading::{ReadError, picture, read};
 #[cfg(test)]
 pub(crate) use recorder::Message;
-pub use recorder::{Kept, Recorder};
+pub use recorder::{EventCounts, EventRecorder};

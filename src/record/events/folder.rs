@@ -124,7 +124,7 @@ pub struct Found {
     pub others: Vec<String>,
 }
 
-/// Opens a folder as [`Recorder::start`](super::Recorder::start) does, and changes nothing in it.
+/// Opens a folder as [`EventRecorder::start`](super::EventRecorder::start) does, and changes nothing in it.
 ///
 /// # Errors
 /// When it could not be recorded there: nothing can be written, or another program does.

@@ -16,7 +16,7 @@ fn picture() -> Picture {
     }
 }
 
-fn offer(recorder: &mut Recorder, tenth: u64, state: AlarmState) {
+fn offer(recorder: &mut EventRecorder, tenth: u64, state: AlarmState) {
     let at = Duration::from_millis(100 * tenth);
     let frame = Frame {
         sequence: tenth,
@@ -57,8 +57,8 @@ fn offer(recorder: &mut Recorder, tenth: u64, state: AlarmState) {
 }
 
 /// `count` alarms, one every 10 s, each with a second of suspicion before the gap.
-fn record(folder: &Path, quota: Quota, count: u64) -> Kept {
-    let recorder = Recorder::start(folder, quota, &["../e2".to_owned()]).unwrap();
+fn record(folder: &Path, quota: Quota, count: u64) -> EventCounts {
+    let recorder = EventRecorder::start(folder, quota, &["../e2".to_owned()]).unwrap();
     let mut recorder = recorder.patient();
     for tenth in 0..100 * count {
         let state = match tenth % 100 {
@@ -105,7 +105,7 @@ fn an_event_holds_the_frames_around_its_beginning_and_where_the_encoder_looked()
 #[test]
 fn what_was_long_before_an_alarm_is_not_of_its_event() {
     let folder = tempfile::tempdir().unwrap();
-    let mut recorder = Recorder::start(folder.path(), Quota::default(), &[])
+    let mut recorder = EventRecorder::start(folder.path(), Quota::default(), &[])
         .unwrap()
         .patient();
     // One frame, ten minutes of nothing, and an alarm with the first frame, as of a camera that was unplugged; then a frame
@@ -135,7 +135,7 @@ fn what_was_long_before_an_alarm_is_not_of_its_event() {
 #[test]
 fn the_last_moments_are_written_when_the_program_ends() {
     let folder = tempfile::tempdir().unwrap();
-    let mut recorder = Recorder::start(folder.path(), Quota::default(), &[]).unwrap();
+    let mut recorder = EventRecorder::start(folder.path(), Quota::default(), &[]).unwrap();
     // Fewer than wait for the writer, and the alarm with the last.
     for tenth in [0, 2, 4, 6] {
         offer(&mut recorder, tenth, AlarmState::Ok);
@@ -151,7 +151,7 @@ fn the_last_moments_are_written_when_the_program_ends() {
 #[cfg(target_os = "linux")]
 fn the_writer_comes_after_the_verdicts() {
     let folder = tempfile::tempdir().unwrap();
-    let recorder = Recorder::start(folder.path(), Quota::default(), &[]).unwrap();
+    let recorder = EventRecorder::start(folder.path(), Quota::default(), &[]).unwrap();
     let niceness = || {
         let threads = std::fs::read_dir("/proc/self/task").unwrap();
         let stats = threads
@@ -218,7 +218,7 @@ fn what_was_kept_long_enough_goes_without_a_new_event() {
         keep: Some(2 * day),
         ..Quota::default()
     };
-    let mut recorder = Recorder::start(folder.path(), quota, &[])
+    let mut recorder = EventRecorder::start(folder.path(), quota, &[])
         .unwrap()
         .patient();
     offer(&mut recorder, 0, AlarmState::Ok);
@@ -235,7 +235,7 @@ fn what_was_kept_long_enough_goes_without_a_new_event() {
 fn a_folder_that_takes_nothing_is_counted_and_not_fatal() {
     let root = tempfile::tempdir().unwrap();
     let folder = root.path().join("evidence");
-    let mut recorder = Recorder::start(&folder, Quota::default(), &[])
+    let mut recorder = EventRecorder::start(&folder, Quota::default(), &[])
         .unwrap()
         .patient();
     fs::remove_dir_all(&folder).unwrap();
@@ -250,5 +250,5 @@ fn a_folder_that_takes_nothing_is_counted_and_not_fatal() {
     }
     let kept = recorder.finish();
     assert_eq!((kept.events, kept.failed), (0, 1));
-    assert!(Recorder::start(&folder, Quota::default(), &[]).is_err());
+    assert!(EventRecorder::start(&folder, Quota::default(), &[]).is_err());
 }

@@ -38,7 +38,7 @@ const WRITER_PRIORITY: u8 = 22;
 
 /// What became of the evidence.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Kept {
+pub struct EventCounts {
     /// Events written.
     pub events: u64,
     /// Older events removed, for them or because they were kept long enough.
@@ -59,11 +59,11 @@ pub(crate) struct Message {
 }
 
 /// Hands frames over to the writer.
-pub struct Recorder {
+pub struct EventRecorder {
     sender: SyncSender<Message>,
     /// Whether frames wait for the writer.
     patient: bool,
-    writer: JoinHandle<Kept>,
+    writer: JoinHandle<EventCounts>,
     state: AlarmState,
     handed_at: Option<Duration>,
     dropped_frames: u64,
@@ -78,7 +78,7 @@ fn yield_to_verdicts() {
     }
 }
 
-impl Recorder {
+impl EventRecorder {
     /// Begins to record into `folder`, which is made if it is missing; events that are there stay, within the quota. What is no
     /// event, which is a folder named by a number with an `event.json` in it, is left alone and does not count.
     ///
@@ -111,7 +111,7 @@ impl Recorder {
         let recorder = Self {
             sender,
             patient: false,
-            writer: std::thread::spawn(Kept::default),
+            writer: std::thread::spawn(EventCounts::default),
             state: AlarmState::Init,
             handed_at: None,
             dropped_frames: 0,
@@ -180,13 +180,13 @@ impl Recorder {
     }
 
     /// Waits until everything is written.
-    pub fn finish(self) -> Kept {
+    pub fn finish(self) -> EventCounts {
         drop(self.sender);
         let kept = self.writer.join().unwrap_or_else(|_| {
             log::warn!("evidence: the writer broke off");
-            Kept::default()
+            EventCounts::default()
         });
-        Kept {
+        EventCounts {
             dropped_frames: self.dropped_frames,
             ..kept
         }
@@ -216,7 +216,7 @@ struct Writer {
     ring: VecDeque<Message>,
     /// The event that is being gathered.
     open: Option<Open>,
-    kept: Kept,
+    kept: EventCounts,
 }
 
 impl Writer {
@@ -226,11 +226,11 @@ impl Writer {
             taps,
             ring: VecDeque::with_capacity(RING_MAX),
             open: None,
-            kept: Kept::default(),
+            kept: EventCounts::default(),
         }
     }
 
-    fn run(mut self, messages: &Receiver<Message>) -> Kept {
+    fn run(mut self, messages: &Receiver<Message>) -> EventCounts {
         let mut expired = None;
         loop {
             let message = messages.recv_timeout(NO_MORE);
@@ -246,7 +246,7 @@ impl Writer {
             }
         }
         self.close();
-        Kept {
+        EventCounts {
             removed: self.folder.removed(),
             ..self.kept
         }
