@@ -14,25 +14,16 @@ mod share;
 
 use std::fmt::Write as _;
 use std::fs;
-use std::path::{Path, PathBuf};
 use std::process::Command;
-use std::time::Duration;
 
-use crate::clips::{clip, lane_model, pictures, yuyv};
-use crate::machine::{report, stage_program};
-use crate::program::gapwatch_in;
+use crate::clips::pictures;
+use crate::machine::report;
 use gapwatch::can::BusState;
-use gapwatch::can::e2e::{E2eReceiver, E2eSender, Sequence};
-use gapwatch::can::message::{ClearRequest, GapHealth, GapStatus};
-use gapwatch::capture::pixels::{Layout, PixelFormat, Pixels};
-use gapwatch::capture::{Frame, Picture};
-use gapwatch::model::encoder::Encoder;
-use gapwatch::model::{ModelOptions, ModelSpec};
+use gapwatch::can::message::{GapHealth, GapStatus};
+use gapwatch::capture::Picture;
+use gapwatch::capture::pixels::Pixels;
 use gapwatch::monitor::alarm::{AlarmState, Reason};
-use gapwatch::monitor::judge::Verdict;
-use gapwatch::monitor::pipeline::Monitor;
-use gapwatch::record::journal::{self, Entry};
-use gapwatch::reference::Reference;
+use gapwatch::record::journal::Entry;
 
 use share::*;
 

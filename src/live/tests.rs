@@ -42,7 +42,7 @@ use crate::record::journal::{self, About, Journal};
 use crate::reference::Reference;
 use crate::statistics::random::SplitMix64;
 
-use script::{Dice, Disk, Event, Road, Script, SharedDisk, Sink, Wire};
+use script::{Dice, Event, Road, Script, SharedDisk, Sink, Wire, settings};
 
 const MS: Duration = Duration::from_millis(1);
 /// A step of the script: the shortest time between two status frames.
@@ -117,22 +117,6 @@ struct World {
     /// Frames whose first verdict of a gap must be in the evidence, once its queue is emptied.
     wanted_evidence: Option<u64>,
     alive_at: Duration,
-}
-
-fn settings() -> CanSettings {
-    CanSettings {
-        speed: Some(SpeedSignal {
-            id: SPEED_ID,
-            start_bit: 0,
-            length: 8,
-            big_endian: false,
-            factor: 1.0,
-            offset: 0.0,
-            parked_below_kmh: 1.0,
-            parked_after: 1_000 * MS,
-        }),
-        ..CanSettings::default()
-    }
 }
 
 impl World {

@@ -29,11 +29,14 @@ mod inference;
 mod kernel;
 mod layout;
 mod limits;
+mod loops;
 mod lowering;
 mod plan;
 mod steps;
 #[cfg(test)]
 mod tests;
+#[cfg(target_arch = "x86_64")]
+mod x86;
 
 use buffers::Buffers;
 pub use error::EncoderError;
@@ -121,7 +124,7 @@ impl<'a> Deref for FeatureMaps<'a> {
 /// Adds at least `count` products in registers with the fastest vectors of this processor, and says how many: the limit that
 /// an encoder's speed is measured against.
 pub fn products_in_registers(count: u64) -> u64 {
-    let in_round = (kernel::REGISTERS * layout::LANES) as u64;
+    let in_round = (loops::REGISTERS * layout::LANES) as u64;
     let rounds = count.div_ceil(in_round);
     std::hint::black_box(Vectors::available()[0].products_in_registers(rounds));
     rounds * in_round

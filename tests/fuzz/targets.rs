@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use gapwatch::calibration::shard::Shard;
-use gapwatch::calibration::survey::store::{Kept, SurveyStore};
+use gapwatch::calibration::survey::store::{SurveyKind, SurveyStore};
 use gapwatch::calibration::survey::{Keep, Survey};
 use gapwatch::can::e2e::{E2eReceiver, E2eSender};
 use gapwatch::can::message::{ClearRequest, GapHealth, GapStatus};
@@ -404,7 +404,7 @@ fn surveys() -> Target {
 
     let folder = scratch();
     let store = SurveyStore::open(folder.path(), &fingerprint).unwrap();
-    store.keep(DRIVE, Kept::Means, "", &survey).unwrap();
+    store.keep(DRIVE, SurveyKind::Means, "", &survey).unwrap();
     let path = fs::read_dir(folder.path())
         .unwrap()
         .next()
@@ -425,7 +425,7 @@ fn surveys() -> Target {
             }
             fs::write(&path, bytes).unwrap();
             let _lives_as_long = &folder;
-            store.find::<Survey>(DRIVE, Kept::Means, None).is_ok()
+            store.find::<Survey>(DRIVE, SurveyKind::Means, None).is_ok()
         }),
     }
 }

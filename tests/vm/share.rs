@@ -3,20 +3,17 @@
 use std::fmt::Write as _;
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::Command;
 use std::time::Duration;
 
 use crate::clips::{clip, lane_model, pictures, yuyv};
-use crate::machine::{report, stage_program};
+use crate::machine::stage_program;
 use crate::program::gapwatch_in;
-use gapwatch::can::BusState;
 use gapwatch::can::e2e::{E2eReceiver, E2eSender, Sequence};
-use gapwatch::can::message::{ClearRequest, GapHealth, GapStatus};
+use gapwatch::can::message::{ClearRequest, GapStatus};
 use gapwatch::capture::pixels::{Layout, PixelFormat, Pixels};
 use gapwatch::capture::{Frame, Picture};
 use gapwatch::model::encoder::Encoder;
 use gapwatch::model::{ModelOptions, ModelSpec};
-use gapwatch::monitor::alarm::{AlarmState, Reason};
 use gapwatch::monitor::judge::Verdict;
 use gapwatch::monitor::pipeline::Monitor;
 use gapwatch::record::journal::{self, Entry};
@@ -120,11 +117,11 @@ pub fn through_yuyv(picture: &Picture) -> Pixels {
 /// A frame that candump logged.
 #[derive(Clone)]
 pub struct Logged {
-    at: f64,
-    bus: String,
-    id: String,
-    data: Vec<u8>,
-    line: String,
+    pub at: f64,
+    pub bus: String,
+    pub id: String,
+    pub data: Vec<u8>,
+    pub line: String,
 }
 
 pub fn logged(share: &Path) -> Vec<Logged> {
@@ -195,12 +192,12 @@ pub fn journal_of(folder: &Path, name: &str) -> Vec<Entry> {
 
 /// The lane model and reference of the machine.
 pub struct Judge {
-    encoder: Encoder,
-    reference: Reference,
+    pub encoder: Encoder,
+    pub reference: Reference,
 }
 
 impl Judge {
-    fn new(share: &Path) -> Self {
+    pub fn new(share: &Path) -> Self {
         let model = share.join("lane.onnx");
         let spec = ModelSpec::new(Some(&model), ModelOptions::default()).unwrap();
         Self {
@@ -209,7 +206,7 @@ impl Judge {
         }
     }
 
-    fn monitor(&self) -> Monitor {
+    pub fn monitor(&self) -> Monitor {
         Monitor::new(&self.encoder, &self.reference).unwrap()
     }
 }

@@ -3,8 +3,8 @@
 use std::ops::Range;
 
 use super::graph::{Activation, Window};
-use super::kernel::{Rivals, Row, Run, larger};
 use super::layout::{Blocked, LANES, Planar};
+use super::loops::{Rivals, Row, Run, larger};
 use crate::model::vectors::{Vectors, turned};
 
 /// Runs that read only zeros beside the picture for fewer pixels than this at either end are never left out.

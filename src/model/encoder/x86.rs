@@ -1,4 +1,5 @@
 //! The loops with vectors of AVX-512 and AVX2.
+#![allow(unsafe_code)]
 
 use std::arch::x86_64::{
     __m256, __m512, _CMP_LT_OQ, _CMP_UNORD_Q, _mm256_add_ps, _mm256_blendv_ps, _mm256_cmp_ps,
@@ -8,10 +9,10 @@ use std::arch::x86_64::{
     _mm512_setzero_ps, _mm512_storeu_ps,
 };
 
-use super::{Rivals, Row, Vector, products, rival, row_of_tiles};
+use super::loops::{Rivals, Row, Vector, products, rival, row_of_tiles};
 
 /// # Safety
-/// See [`super::products`].
+/// See [`super::loops::products`].
 #[target_feature(enable = "avx512f")]
 pub(super) unsafe fn products_avx512(rounds: u64) -> f32 {
     // SAFETY: as the caller's.
@@ -19,7 +20,7 @@ pub(super) unsafe fn products_avx512(rounds: u64) -> f32 {
 }
 
 /// # Safety
-/// See [`super::products`].
+/// See [`super::loops::products`].
 #[target_feature(enable = "avx2,fma")]
 pub(super) unsafe fn products_avx2(rounds: u64) -> f32 {
     // SAFETY: as the caller's.
@@ -27,7 +28,7 @@ pub(super) unsafe fn products_avx2(rounds: u64) -> f32 {
 }
 
 /// # Safety
-/// See [`super::Vectors::rival`].
+/// See [`crate::model::vectors::Vectors::rival`].
 #[target_feature(enable = "avx512f")]
 pub(super) unsafe fn rival_avx512(row: Rivals<'_>) {
     // SAFETY: as the caller's.
@@ -35,7 +36,7 @@ pub(super) unsafe fn rival_avx512(row: Rivals<'_>) {
 }
 
 /// # Safety
-/// See [`super::Vectors::rival`].
+/// See [`crate::model::vectors::Vectors::rival`].
 #[target_feature(enable = "avx2")]
 pub(super) unsafe fn rival_avx2(row: Rivals<'_>) {
     // SAFETY: as the caller's.
@@ -43,7 +44,7 @@ pub(super) unsafe fn rival_avx2(row: Rivals<'_>) {
 }
 
 /// # Safety
-/// See [`super::Vectors::run`].
+/// See [`crate::model::vectors::Vectors::run`].
 #[target_feature(enable = "avx512f")]
 pub(super) unsafe fn avx512(row: Row<'_>) {
     // SAFETY: as the caller's.
@@ -51,7 +52,7 @@ pub(super) unsafe fn avx512(row: Row<'_>) {
 }
 
 /// # Safety
-/// See [`super::Vectors::run`].
+/// See [`crate::model::vectors::Vectors::run`].
 #[target_feature(enable = "avx2,fma")]
 pub(super) unsafe fn avx2(row: Row<'_>) {
     // SAFETY: as the caller's.
