@@ -7,6 +7,7 @@ mod program;
 mod bench;
 mod cli;
 mod doctor;
+mod documents;
 mod evaluate;
 mod evidence;
 mod fuzz;

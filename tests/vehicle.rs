@@ -68,7 +68,13 @@ fn machine() -> Left {
     clip(&share.join("nominal"), &pictures(NOMINAL));
     let guest = format!("{ROOT}/tests/vehicle/guest.sh");
     fs::copy(guest, share.join("guest.sh")).unwrap();
-    fs::write(share.join("short-drive"), SHORT_DRIVE).unwrap();
+    fs::create_dir(share.join("short")).unwrap();
+    for (n, picture) in pictures(SHORT_DRIVE).into_iter().enumerate() {
+        image::RgbImage::from_raw(picture.width, picture.height, picture.rgb)
+            .unwrap()
+            .save(share.join(format!("short/{n:04}.png")))
+            .unwrap();
+    }
     let console = File::create(share.join("console.log")).unwrap();
     let ended = Command::new(format!("{ROOT}/tests/vehicle/boot"))
         .arg(&share)
@@ -232,11 +238,9 @@ fn arm64_package_is_installed_warns_and_leaves_nothing_behind() {
 
     // The same numbers, to the last bit, as on the machine that runs this test.
     let folder = tempfile::tempdir().unwrap();
-    gapwatch_in(
-        folder.path(),
-        &["replay", SHORT_DRIVE, "--journal", "replay.jsonl"],
-    )
-    .ok();
+    let short = left.0.join("short").display().to_string();
+    let replay = ["replay", &short, "--journal", "replay.jsonl"];
+    gapwatch_in(folder.path(), &replay).ok();
     let here = fs::read_to_string(folder.path().join("replay.jsonl")).unwrap();
     left.done("replay");
     let (here, there) = (verdicts(&here), verdicts(&left.text("replay.jsonl")));

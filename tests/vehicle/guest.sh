@@ -40,7 +40,7 @@ done_as version gapwatch --version
 done_as listed dpkg -L gapwatch
 cp /usr/share/gapwatch/boards/emulated-arm64.toml /etc/gapwatch/car.toml
 printf '[evidence]\nfolder = "/var/lib/gapwatch/seen"\n' >>/etc/gapwatch/car.toml
-done_as replay gapwatch replay "$(cat short-drive)" --journal replay.jsonl
+done_as replay gapwatch replay short --journal replay.jsonl
 
 while [ ! -e quiet ]; do cat nominal; done | play &
 playing=$!
