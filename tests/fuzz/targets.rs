@@ -398,6 +398,7 @@ fn built_in() -> (ModelSpec, Encoder) {
 }
 
 fn surveys() -> Target {
+    gapwatch::lab::register();
     let (spec, encoder) = built_in();
     let fingerprint = ModelFingerprint::new(&spec, &encoder);
     let survey = Survey::of(DRIVE, &encoder, &spec.preprocessing, Keep::Means, &|| {}).unwrap();
