@@ -28,7 +28,7 @@
 //! | [`capture`] | frames, and the sources that give them |
 //! | [`model`] | the model file, preprocessing, the encoder |
 //! | [`features`] | energies, histograms, picture quality |
-//! | [`reference`] | metrics, and the reference file |
+//! | [`mod@reference`] | metrics, and the reference file |
 //! | [`monitor`] | the chain from a frame to a verdict |
 //! | [`can`] | messages, their protection and timing, the bus |
 //! | [`record`] | the journal, and the pictures around alarms |

@@ -80,7 +80,10 @@ fn every_link_leads_somewhere() {
     for document in documents() {
         let text = fs::read_to_string(&document).unwrap();
         let prose = prose(&text);
-        for link in links(&prose).into_iter().filter(|link| !link.contains("://")) {
+        for link in links(&prose)
+            .into_iter()
+            .filter(|link| !link.contains("://"))
+        {
             count += 1;
             if !leads_somewhere(&document, link) {
                 dead.push(format!("{}: {link}", document.display()));
@@ -96,7 +99,10 @@ fn a_dead_link_is_found() {
     let readme = root().join("README.md");
     assert!(leads_somewhere(&readme, "boards/README.md"));
     assert!(!leads_somewhere(&readme, "boards/nothing.md"));
-    assert!(!leads_somewhere(&readme, "boards/README.md#nothing-of-that-name"));
+    assert!(!leads_somewhere(
+        &readme,
+        "boards/README.md#nothing-of-that-name"
+    ));
     assert_eq!(links("[a](b.md) and [`c`](d#e)"), ["b.md", "d#e"]);
     assert_eq!(anchor(" In the car, by day"), "in-the-car-by-day");
 }

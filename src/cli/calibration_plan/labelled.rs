@@ -7,28 +7,30 @@ use gapwatch::model::preprocess::Preprocessing;
 /// Frames of a drive.
 pub fn frame_count(name: &str) -> anyhow::Result<u64> {
     #[cfg(feature = "lab")]
-    return Ok(spec(name)?.frames());
+    let count = spec(name)?.frames();
     #[cfg(not(feature = "lab"))]
-    return Err(not_here(name));
+    let count = not_here(name)?;
+    Ok(count)
 }
 
 /// What the encoder sees of each frame, and what the lane model loses there.
-#[cfg_attr(not(feature = "lab"), expect(unused_variables))]
+#[cfg(feature = "lab")]
 pub fn frames(
     name: &str,
     encoder: &Encoder,
     preprocessing: &Preprocessing,
 ) -> anyhow::Result<Vec<LabelledMeans>> {
-    #[cfg(feature = "lab")]
-    {
-        let drive = spec(name)?;
-        // By its seed, not its place: the drive is the same in any shard. Only its rest by 5 counts.
-        let number = usize::try_from(drive.seed % 5)?;
-        let frames = gapwatch::lab::labelled::frames_of(&drive, number, encoder, preprocessing)?;
-        return Ok(frames.into_iter().map(|(_, frame)| frame).collect());
-    }
-    #[cfg(not(feature = "lab"))]
-    return Err(not_here(name));
+    let drive = spec(name)?;
+    // By its seed, not its place: the drive is the same in any shard. Only its rest by 5 counts.
+    let number = usize::try_from(drive.seed % 5)?;
+    let frames = gapwatch::lab::labelled::frames_of(&drive, number, encoder, preprocessing)?;
+    Ok(frames.into_iter().map(|(_, frame)| frame).collect())
+}
+
+/// What the encoder sees of each frame, and what the lane model loses there.
+#[cfg(not(feature = "lab"))]
+pub fn frames(name: &str, _: &Encoder, _: &Preprocessing) -> anyhow::Result<Vec<LabelledMeans>> {
+    not_here(name)
 }
 
 /// A rendered drive by name; no other source has lane labels.
@@ -47,8 +49,8 @@ fn spec(name: &str) -> anyhow::Result<gapwatch::lab::scene::DriveSpec> {
 }
 
 #[cfg(not(feature = "lab"))]
-fn not_here(name: &str) -> anyhow::Error {
-    anyhow::anyhow!(
+fn not_here<T>(name: &str) -> anyhow::Result<T> {
+    anyhow::bail!(
         "--labelled {name}: this build has no rendered drives (build with --features lab)"
     )
 }
