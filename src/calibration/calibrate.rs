@@ -303,13 +303,13 @@ mod tests {
                 };
                 let domains = [domain];
                 let none: &[LabelledMeans] = &[];
-                let foretold = looks(&domains, &held_out, none, metric);
+                let predicted = looks(&domains, &held_out, none, metric);
                 calibrate(&domains, &held_out, none, &["e2".to_owned()], wanted).unwrap();
                 let all = drives.iter().chain(&held_out);
                 let looked: u64 = all
                     .map(|d| d.1.load(std::sync::atomic::Ordering::Relaxed))
                     .sum();
-                assert_eq!(looked, foretold, "{metric}, {fitting} drives");
+                assert_eq!(looked, predicted, "{metric}, {fitting} drives");
             }
         }
     }

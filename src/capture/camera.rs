@@ -1,7 +1,7 @@
 //! V4L2 cameras.
 //!
-//! Owns the device: it is opened at the start or refused, and opened again whenever it stalls, fails or is plugged out and
-//! in. Refuses to end: a camera that is gone gives no frame, and the silence is the monitor's to report. The format that the
+//! Owns the device: it is opened at the start or refused, and opened again whenever it stalls, fails or is unplugged
+//! and plugged in again. Refuses to end: a camera that is gone gives no frame, and the silence is the monitor's to report. The format that the
 //! driver grants counts, not the one asked for.
 
 use std::io;

@@ -121,7 +121,7 @@ pub struct MonitorArgs {
     /// Stop after this many seconds
     #[arg(long, value_name = "N", value_parser = whole::<u32>(1..=u32::MAX))]
     pub seconds: Option<u32>,
-    /// Journal to write, JSON lines; it appears when the monitor stops
+    /// Journal to write, JSON lines; each line is there as soon as it is written
     #[arg(long, value_name = "FILE")]
     pub journal: Option<PathBuf>,
     /// Folder for frames and heat maps around the beginning of each alarm, instead of the board's; without either no picture is
@@ -169,7 +169,7 @@ pub struct CalibrateArgs {
     /// Nominal sources; each is one drive
     #[arg(long, value_name = "SOURCE", num_args = 1.., required_unless_present = "shard")]
     pub sim: Vec<String>,
-    /// Roads that the lane model is known to bear; each argument is one more nominal domain, but rendered drives that differ
+    /// Roads on which the lane model is known to work; each argument is one more nominal domain, but rendered drives that differ
     /// in their seeds alone are one
     #[arg(long, value_name = "SOURCE", num_args = 1..)]
     pub accept: Vec<String>,

@@ -1,7 +1,7 @@
 //! Files that grow while people read them: every line is there as soon as it is written, and on the disk a second later.
 //!
-//! Owns the thread that writes: who hands a line over never waits for a disk. A disk that takes nothing costs lines, which
-//! are counted and told; never half a line, and never anything else. An earlier file of the name is kept as `NAME.1`.
+//! Owns the thread that writes: who hands a line over never waits for a disk. If the disk is full, whole lines are lost,
+//! and nothing else; they are counted, and the log says so. An earlier file of the name is kept as `NAME.1`.
 
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, Seek, SeekFrom, Write};

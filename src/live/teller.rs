@@ -184,7 +184,7 @@ impl Teller {
         }
     }
 
-    /// Tells of the stored bit without waiting for a frame: none comes while nobody looks.
+    /// Tells of the stored bit without waiting for a frame: none comes while the car is parked.
     fn tell_stored(
         &mut self,
         now: Duration,

@@ -92,7 +92,7 @@ pub enum Reason {
     Covered,
     /// The computer does not keep up: verdicts come too late.
     Lagging,
-    /// The car is parked, so nobody looks.
+    /// The car is parked, so no frame is judged.
     Parked,
     /// The monitor ends.
     Stopped,

@@ -160,7 +160,7 @@ pub enum EvaluateKey {
     /// Entries into Gap on nominal drives
     #[value(name = "false_alarms")]
     FalseAlarms,
-    /// Whether the gap foretells that the lane model fails, by metric and baseline
+    /// Whether the gap predicts that the lane model fails, by metric and baseline
     #[value(name = "lane_failure")]
     LaneFailure,
     /// Cost of a judged second against what is missed, by model, taps, window and frame rate

@@ -1,4 +1,4 @@
-//! Failures of the lane model, foretold: rows and tables.
+//! Failures of the lane model, predicted: rows and tables.
 
 use std::path::PathBuf;
 

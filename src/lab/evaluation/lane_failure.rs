@@ -1,4 +1,4 @@
-//! Does the gap foretell that the lane model fails? Labelled drives under conditions that grow and fade, judged through
+//! Does the gap predict that the lane model fails? Labelled drives under conditions that grow and fade, judged through
 //! every metric and by plainer baselines at the same rates of false alarms.
 //!
 //! A second is a failure when the lane IoU is below half of that of the same second in plain day. A drive has one event at

@@ -80,7 +80,7 @@ impl SpeedError {
     }
 }
 
-/// Which points no other one beats: each of the others costs more, misses more, warns later or foretells failures of the
+/// Which points no other one beats: each of the others costs more, misses more, warns later or predicts failures of the
 /// lane model less.
 pub fn front(rows: &[SpeedError]) -> Vec<bool> {
     let criteria = |of: &SpeedError| {

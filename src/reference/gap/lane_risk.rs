@@ -1,7 +1,7 @@
 //! How much of the lanes the lane model is likely to miss: a ridge regression of its loss on a block's log energies.
 //!
-//! A domain gap is not yet a failure: the lane model bears some shifts and not others. Rendered drives have lane labels,
-//! so what the model loses on them is known, and the energies of its last block foretell it.
+//! A domain gap is not yet a failure: the lane model copes with some shifts and not with others. Rendered drives have lane labels,
+//! so what the model loses on them is known, and the energies of its last block predict it.
 
 use nalgebra::{Cholesky, DMatrix, DVector};
 use serde::{Deserialize, Serialize};
@@ -12,7 +12,7 @@ use crate::capture::undefined::Undefined;
 /// Deviations from nominal are cut off here, in spreads: far outside, further does not mean worse.
 const DEVIATION_MAX: f64 = 30.0;
 /// Weight of the penalty on the weights, for each labelled frame. A tenth of it or four times as much hardly change how well
-/// the loss is foretold under conditions that were not fitted.
+/// the loss is predicted under conditions that were not fitted.
 const RIDGE: f64 = 0.5;
 
 /// Fits a forecast to one frame with lane labels after the other: nominal frames have no loss and weigh as much together

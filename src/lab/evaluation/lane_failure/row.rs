@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-/// How one method foretells failures, with thresholds for one rate of false alarms.
+/// How one method predicts failures, with thresholds for one rate of false alarms.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct LaneFailure {
     /// A metric, or a baseline.
