@@ -18,6 +18,7 @@ use std::time::Duration;
 
 use heapless::Deque;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
+use rustix::io::Errno;
 use socketcan::nl::CanState;
 use socketcan::{
     CanAnyFrame, CanErrorFrame, CanFdFrame, CanFdSocket, CanFilter, CanInterface, CanSocket,
@@ -278,11 +279,10 @@ fn state_of(frame: &CanErrorFrame) -> Option<BusState> {
 
 /// Down (ENETDOWN), full (ENOBUFS) or interrupted.
 fn is_passing(error: &io::Error) -> bool {
-    const ENOBUFS: i32 = 105;
     matches!(
         error.kind(),
         io::ErrorKind::NetworkDown | io::ErrorKind::Interrupted
-    ) || error.raw_os_error() == Some(ENOBUFS)
+    ) || error.raw_os_error() == Some(Errno::NOBUFS.raw_os_error())
 }
 
 impl Sockets {
@@ -540,10 +540,11 @@ mod tests {
 
     #[test]
     fn down_and_full_are_passing_and_unplugged_is_not() {
-        let (enobufs, enetdown, enodev, enxio) = (105, 100, 19, 6);
-        assert!(is_passing(&io::Error::from_raw_os_error(enobufs)));
-        assert!(is_passing(&io::Error::from_raw_os_error(enetdown)));
-        assert!(!is_passing(&io::Error::from_raw_os_error(enodev)));
-        assert!(!is_passing(&io::Error::from_raw_os_error(enxio)));
+        for errno in [Errno::NOBUFS, Errno::NETDOWN] {
+            assert!(is_passing(&errno.into()), "{errno}");
+        }
+        for errno in [Errno::NODEV, Errno::NXIO] {
+            assert!(!is_passing(&errno.into()), "{errno}");
+        }
     }
 }

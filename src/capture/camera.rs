@@ -10,6 +10,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 use std::time::Duration;
 
+use rustix::io::Errno;
 use v4l::buffer::{Flags, Metadata, Type};
 use v4l::device::Handle;
 use v4l::io::traits::{CaptureStream, Stream as _};
@@ -86,9 +87,8 @@ impl Drop for OpenCamera {
         let Some(mut stream) = self.stream.take() else {
             return;
         };
-        const ENODEV: i32 = 19;
         match stream.stop() {
-            Err(error) if error.raw_os_error() != Some(ENODEV) => {
+            Err(error) if error.raw_os_error() != Some(Errno::NODEV.raw_os_error()) => {
                 log::error!("a camera cannot be stopped and is left open: {error}");
                 mem::forget(stream);
             }
