@@ -239,7 +239,7 @@ pub fn counts_of(binning: &Binning, map: &EnergyMap) -> Result<Vec<u32>, Undefin
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     #![allow(clippy::unwrap_used, clippy::float_cmp, clippy::cast_precision_loss)]
     use super::*;
     use crate::reference::gap::Divergence;
@@ -247,7 +247,8 @@ mod tests {
     const LOG_ENERGY: Metric = Metric::LogEnergy(Divergence::JensenShannon);
     const ATTENTION: Metric = Metric::Attention(Divergence::JensenShannon);
 
-    fn ramp(from: usize, to: usize) -> EnergyMap {
+    /// A map of one row whose energies grow.
+    pub fn ramp(from: usize, to: usize) -> EnergyMap {
         let energy: Vec<f64> = (from..to).map(|i| (i as f64 / 1_000.0).exp()).collect();
         EnergyMap {
             width: energy.len(),

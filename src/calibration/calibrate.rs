@@ -226,24 +226,15 @@ mod tests {
     use std::borrow::Cow;
     use std::time::Duration;
 
+    use super::super::binning::tests::ramp;
     use super::*;
     use crate::calibration::drive::{LabelledMeans, StoreError};
     use crate::calibration::survey::{Survey, SurveyFrame};
-    use crate::features::attention::EnergyMap;
     use crate::features::energies::BlockMeans;
     use crate::reference::gap::Divergence;
 
     const LOG_ENERGY: Metric = Metric::LogEnergy(Divergence::JensenShannon);
     const ATTENTION: Metric = Metric::Attention(Divergence::JensenShannon);
-
-    fn ramp(from: usize, to: usize) -> EnergyMap {
-        let energy: Vec<f64> = (from..to).map(|i| (i as f64 / 1_000.0).exp()).collect();
-        EnergyMap {
-            width: energy.len(),
-            height: 1,
-            energy,
-        }
-    }
 
     /// A drive that counts how often it is looked at.
     struct Counted(Survey, std::sync::atomic::AtomicU64);

@@ -10,7 +10,7 @@ use anyhow::{Context, anyhow};
 use gapwatch::capture::open;
 use gapwatch::lab::camera_buffers::buffer_of;
 use gapwatch::live::cost::{
-    Buffer, Chain, FRAMES_MAX, PERIOD, WARM_UP, quantile, resident_bytes, thread_cpu_time,
+    Buffer, Chain, WARM_UP, quantile, resident_bytes, shown_for, thread_cpu_time,
 };
 use gapwatch::model::encoder::products_in_registers;
 use gapwatch::reference::Reference;
@@ -164,15 +164,10 @@ fn measure(
     let mut chain = Chain::new(&model.encoder, reference)?;
     let mut samples = Vec::new();
     let mut cpu_before = Duration::ZERO;
-    let began = Instant::now();
-    for (index, buffer) in (0..WARM_UP + FRAMES_MAX).zip(shown.iter().cycle()) {
+    for (index, now, buffer) in shown_for(shown, longest) {
         if index == WARM_UP {
             cpu_before = thread_cpu_time();
         }
-        if index > WARM_UP && began.elapsed() > longest {
-            break;
-        }
-        let now = PERIOD * u32::try_from(index)?;
         let mut clock = Clock::start();
         chain.step(index, now, buffer, &mut |stage| clock.lap(stage))?;
         if index >= WARM_UP {

@@ -203,7 +203,7 @@ pub(super) mod tests {
     use crate::can::{BusState, CanFrame};
     use crate::monitor::alarm::{AlarmState, Reason};
 
-    const SPEED_ID: u16 = 0x1A0;
+    pub const SPEED_ID: u16 = 0x1A0;
 
     /// A bus in memory, as those see it who are on it.
     #[derive(Default)]
@@ -299,7 +299,7 @@ pub(super) mod tests {
         Duration::from_millis(ms)
     }
 
-    fn settings() -> CanSettings {
+    pub fn settings() -> CanSettings {
         CanSettings {
             fd: true,
             speed: Some(SpeedSignal {

@@ -93,11 +93,28 @@ impl Chain {
 }
 
 /// Time between the frames that are shown.
-pub const PERIOD: Duration = Duration::from_millis(100);
+const PERIOD: Duration = Duration::from_millis(100);
 /// First frames, which fill buffers and caches and are not counted.
 pub const WARM_UP: u64 = 5;
 /// Most frames of a measurement.
-pub const FRAMES_MAX: u64 = 500;
+const FRAMES_MAX: u64 = 500;
+
+/// Buffers over and over for `longest` at most, each with its number from 0 and its time.
+pub fn shown_for(
+    shown: &[Buffer],
+    longest: Duration,
+) -> impl Iterator<Item = (u64, Duration, &Buffer)> {
+    let began = Instant::now();
+    let mut at = Duration::ZERO;
+    (0..WARM_UP + FRAMES_MAX)
+        .zip(shown.iter().cycle())
+        .take_while(move |(index, _)| *index <= WARM_UP || began.elapsed() <= longest)
+        .map(move |(index, buffer)| {
+            let now = at;
+            at += PERIOD;
+            (index, now, buffer)
+        })
+}
 
 /// Time of each of some frames through the chain, shown over and over for `longest` at most.
 ///
@@ -111,18 +128,12 @@ pub fn chain_times(
 ) -> Result<Vec<Duration>, CostError> {
     let mut chain = Chain::new(encoder, reference)?;
     let mut times = Vec::new();
-    let began = Instant::now();
-    let mut at = Duration::ZERO;
-    for (index, buffer) in (0..WARM_UP + FRAMES_MAX).zip(shown.iter().cycle()) {
-        if index > WARM_UP && began.elapsed() > longest {
-            break;
-        }
+    for (index, at, buffer) in shown_for(shown, longest) {
         let since = Instant::now();
         chain.step(index, at, buffer, &mut |_| {})?;
         if index >= WARM_UP {
             times.push(since.elapsed());
         }
-        at += PERIOD;
     }
     Ok(times)
 }

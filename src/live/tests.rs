@@ -20,6 +20,7 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use super::bus::Bus;
+use super::bus::tests::SPEED_ID;
 use super::judging::Judging;
 use super::outputs::Outputs;
 use super::service::Service;
@@ -27,7 +28,6 @@ use super::teller::{Said, Teller};
 use super::{Orders, Word};
 use crate::can::e2e::{E2eReceiver, E2eSender, Sequence};
 use crate::can::message::{ClearRequest, GapStatus};
-use crate::can::speed::SpeedSignal;
 use crate::can::{CanFrame, CanSettings, SinkError, WarningSink};
 use crate::capture::clock::ClockTime;
 use crate::capture::undefined::Undefined;
@@ -58,7 +58,6 @@ const PERIODS: Periods = Periods {
 };
 /// Without a verdict for this long there is none on the bus either: 500 ms, and the judge's wait.
 const SILENT: Duration = Duration::from_millis(550);
-const SPEED_ID: u16 = 0x1A0;
 
 /// What the script knows to be true, to hold the loop's words against.
 #[derive(Default)]

@@ -157,16 +157,7 @@ impl Script {
 
 pub fn settings() -> CanSettings {
     CanSettings {
-        speed: Some(SpeedSignal {
-            id: SPEED_ID,
-            start_bit: 0,
-            length: 8,
-            big_endian: false,
-            factor: 1.0,
-            offset: 0.0,
-            parked_below_kmh: 1.0,
-            parked_after: 1_000 * MS,
-        }),
-        ..CanSettings::default()
+        fd: false,
+        ..super::super::bus::tests::settings()
     }
 }
