@@ -46,6 +46,16 @@ pub enum Keep {
     Means,
 }
 
+impl Keep {
+    /// Most frames that are held in memory at once, of all sources that are compared or of one drive that is calibrated.
+    pub const fn frames_max(self) -> u64 {
+        match self {
+            Self::Maps => 100_000,
+            Self::Means => 600_000,
+        }
+    }
+}
+
 /// A source that could not be surveyed.
 #[derive(Debug, thiserror::Error)]
 pub enum SurveyError {

@@ -10,13 +10,13 @@ use anyhow::{Context, anyhow};
 use gapwatch::capture::open;
 use gapwatch::lab::camera_buffers::buffer_of;
 use gapwatch::live::cost::{
-    Buffer, Chain, WARM_UP, quantile, resident_bytes, shown_for, thread_cpu_time,
+    Buffer, Chain, WARM_UP, ms, quantile, resident_bytes, shown_for, thread_cpu_time,
 };
 use gapwatch::model::encoder::products_in_registers;
 use gapwatch::reference::Reference;
 use serde::Serialize;
 
-use super::Model;
+use super::loaded_model::LoadedModel;
 use super::quick_reference::made_for;
 use crate::cli::args::{BenchArgs, TableFormat};
 use crate::cli::counting;
@@ -99,7 +99,7 @@ struct Measured {
 pub fn run(args: &BenchArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
     let (shown, render) = buffers(args)?;
     let began = Instant::now();
-    let model = Model::load_in(&args.model, args.executor.into())?;
+    let model = LoadedModel::load_in(&args.model, args.executor.into())?;
     let shipped = Reference::read(None)
         .ok()
         .filter(|reference| reference.check_fits("built-in", &model.fingerprint).is_ok());
@@ -156,7 +156,7 @@ fn buffers(args: &BenchArgs) -> anyhow::Result<(Vec<Buffer>, Duration)> {
 }
 
 fn measure(
-    model: &Model,
+    model: &LoadedModel,
     reference: &Reference,
     shown: &[Buffer],
     longest: Duration,
@@ -214,7 +214,7 @@ impl Clock {
 
 fn summary(
     args: &BenchArgs,
-    model: &Model,
+    model: &LoadedModel,
     measured: &[Measured],
     start: Duration,
     render: Duration,
@@ -281,11 +281,6 @@ fn peak_gflops() -> f64 {
         gflops(products_in_registers(PEAK_PRODUCTS), began.elapsed())
     };
     (0..20).map(run).fold(0.0, f64::max)
-}
-
-/// To the microsecond.
-fn ms(time: Duration) -> f64 {
-    (time.as_secs_f64() * 1e6).round() / 1e3
 }
 
 #[allow(clippy::cast_precision_loss)]

@@ -12,8 +12,8 @@ use gapwatch::reference::gap::Metric;
 use gapwatch::reference::{NominalDrives, Reference, Role};
 use gapwatch::statistics::event_rate::{Hours, Loudness, ThreeDigits};
 
-use super::Model;
 use super::calibration_plan::CalibrationPlan;
+use super::loaded_model::LoadedModel;
 use crate::cli::args::CalibrateArgs;
 
 pub fn run(args: &CalibrateArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
@@ -40,7 +40,7 @@ pub fn run(args: &CalibrateArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
         window_s: args.window,
         false_alarms_per_hour: args.false_alarms_per_hour,
     };
-    let model = Model::load(&args.model)?;
+    let model = LoadedModel::load(&args.model)?;
     let plan = CalibrationPlan::new(model.fingerprint.clone(), wanted, sources)?;
     if !args.shard {
         plan.check_whole()?;

@@ -24,7 +24,8 @@ use gapwatch::reference::{
 use indicatif::ProgressBar;
 use rayon::prelude::*;
 
-use super::{Model, frames_max, progress};
+use super::loaded_model::LoadedModel;
+use super::progress;
 
 /// Name of the first nominal domain.
 const SIMULATION: &str = "simulation";
@@ -157,7 +158,7 @@ impl CalibrationPlan {
     pub fn look(
         &self,
         found: &mut Found,
-        model: &Model,
+        model: &LoadedModel,
         store: &SurveyStore,
     ) -> anyhow::Result<()> {
         self.look_at_labelled(found, &model.spec, store)?;
@@ -171,7 +172,7 @@ impl CalibrationPlan {
         let mut total = Some(0);
         for (name, _) in &missing {
             let count = open(name)?.frame_count();
-            let most = frames_max(keep);
+            let most = keep.frames_max();
             if let Some(count) = count.filter(|&count| count > most) {
                 bail!(
                     "{name}: {count} frames in one drive; wanted at most {most}: take shorter drives, or a lower fps"

@@ -11,7 +11,7 @@ use gapwatch::files::whole_file::WholeFile;
 use gapwatch::lab::comparison::{Comparisons, ImageSet, Row, compare};
 use serde_json::{Map, Value, json};
 
-use super::Model;
+use super::loaded_model::LoadedModel;
 use crate::cli::args::{CompareArgs, Format};
 
 pub fn run(args: &CompareArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
@@ -37,7 +37,7 @@ pub fn run(args: &CompareArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
         }
         None => None,
     };
-    let model = Model::load(&args.model)?;
+    let model = LoadedModel::load(&args.model)?;
     let taken =
         |tap: &&String| ["set", "metric", "images", "judged", "reasons"].contains(&tap.as_str());
     if let Some(tap) = model.spec.taps.iter().find(taken) {
@@ -70,7 +70,7 @@ pub fn run(args: &CompareArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
     Ok(0)
 }
 
-fn survey_sets(names: &[String], model: &Model) -> anyhow::Result<Vec<ImageSet>> {
+fn survey_sets(names: &[String], model: &LoadedModel) -> anyhow::Result<Vec<ImageSet>> {
     let drives = names
         .iter()
         .map(|name| drives(name))

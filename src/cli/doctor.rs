@@ -6,6 +6,7 @@
 mod budget;
 mod bus;
 mod camera;
+mod check;
 mod clock;
 mod folders;
 
@@ -16,82 +17,12 @@ use gapwatch::live::board::Board;
 use gapwatch::model::ModelOptions;
 use gapwatch::reference::Reference;
 use gapwatch::statistics::event_rate::Loudness;
-use serde::Serialize;
 
-use super::Model;
-use super::monitor::{periods, read_reference};
+use check::{Check, Outcome};
+
+use super::board_settings::{periods, read_reference};
+use super::loaded_model::LoadedModel;
 use crate::cli::args::{DoctorArgs, TableFormat};
-
-/// What one check found.
-#[derive(Serialize)]
-struct Check {
-    check: &'static str,
-    result: Outcome,
-    found: String,
-    /// What mends it; `None` where there is nothing to mend.
-    #[serde(rename = "do")]
-    remedy: Option<String>,
-}
-
-#[derive(Clone, Copy, PartialEq, Serialize)]
-enum Outcome {
-    #[serde(rename = "pass")]
-    Pass,
-    #[serde(rename = "warn")]
-    Warn,
-    #[serde(rename = "fail")]
-    Fail,
-    #[serde(rename = "left out")]
-    LeftOut,
-}
-
-impl Outcome {
-    fn name(self) -> &'static str {
-        match self {
-            Self::Pass => "pass",
-            Self::Warn => "warn",
-            Self::Fail => "fail",
-            Self::LeftOut => "left out",
-        }
-    }
-}
-
-impl Check {
-    fn pass(check: &'static str, found: impl Into<String>) -> Self {
-        Self {
-            check,
-            result: Outcome::Pass,
-            found: found.into(),
-            remedy: None,
-        }
-    }
-
-    /// It works, but something should be known or done.
-    fn warn(check: &'static str, found: impl Into<String>, remedy: impl Into<String>) -> Self {
-        Self {
-            result: Outcome::Warn,
-            ..Self::fail(check, found, remedy)
-        }
-    }
-
-    fn fail(check: &'static str, found: impl Into<String>, remedy: impl Into<String>) -> Self {
-        Self {
-            check,
-            result: Outcome::Fail,
-            found: found.into(),
-            remedy: Some(remedy.into()),
-        }
-    }
-
-    fn left_out(check: &'static str, why: impl Into<String>) -> Self {
-        Self {
-            check,
-            result: Outcome::LeftOut,
-            found: why.into(),
-            remedy: None,
-        }
-    }
-}
 
 pub fn run(args: &DoctorArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
     let checks = examine(args);
@@ -149,8 +80,8 @@ fn examine(args: &DoctorArgs) -> Vec<Check> {
     checks
 }
 
-fn model(board: &Board) -> (Option<Model>, Check) {
-    match Model::load_file(board.monitor.model.as_deref(), ModelOptions::default()) {
+fn model(board: &Board) -> (Option<LoadedModel>, Check) {
+    match LoadedModel::load_file(board.monitor.model.as_deref(), ModelOptions::default()) {
         Ok(model) => {
             let of = &model.spec.preprocessing;
             let found = format!(
@@ -174,7 +105,7 @@ fn model(board: &Board) -> (Option<Model>, Check) {
 fn reference(
     board: &Board,
     args: &DoctorArgs,
-    model: Option<&Model>,
+    model: Option<&LoadedModel>,
 ) -> (Option<Reference>, Check) {
     let name = board.monitor.reference.as_deref();
     let name = name.map_or_else(|| "built-in".to_owned(), |path| path.display().to_string());

@@ -10,9 +10,9 @@ use gapwatch::calibration::shard::Shard;
 use gapwatch::calibration::survey::store::SurveyStore;
 use gapwatch::reference::Role;
 
-use super::Model;
 use super::calibrate::describe;
 use super::calibration_plan::CalibrationPlan;
+use super::loaded_model::LoadedModel;
 use crate::cli::args::MergeArgs;
 
 pub fn run(args: &MergeArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
@@ -58,7 +58,7 @@ pub fn run(args: &MergeArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
             "{} drives without a survey are looked at again; calibrate --surveys keeps them",
             found.missing()
         );
-        let model = Model::load(&args.model)?;
+        let model = LoadedModel::load(&args.model)?;
         if let Some((what, wanted, found)) = first.model.difference(&model.fingerprint) {
             bail!(
                 "{}: drives without a survey, of another model than the one in use: {what} is {found}; wanted {wanted}: name it with --model, or their folders with --surveys",

@@ -5,7 +5,6 @@
 
 use std::io::Write;
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
@@ -27,13 +26,14 @@ use gapwatch::live::teller::{Said, Show, Teller};
 use gapwatch::live::{JUDGE_WAITS, Orders, TICK, Word};
 use gapwatch::model::ModelOptions;
 use gapwatch::monitor::pipeline::Sight;
-use gapwatch::monitor::rate::Periods;
 use gapwatch::record::events::{EventCounts, EventRecorder, Quota};
 use gapwatch::record::journal::{About, Journal};
-use gapwatch::reference::Reference;
 
+use super::board_settings::{periods, read_reference};
 use super::live::Live;
-use super::{Model, service, signals, state_line, tell_evidence};
+use super::loaded_model::LoadedModel;
+use super::state_lines::{evidence_line, state_line};
+use super::{service, signals};
 use crate::cli::args::MonitorArgs;
 
 /// How soon a bus is looked after again that a frame waits for.
@@ -47,7 +47,7 @@ pub fn run(args: &MonitorArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
     let mut nowhere = std::io::sink();
     let out: &mut dyn Write = if args.quiet { &mut nowhere } else { out };
     let board = Board::read(&args.board)?;
-    let model = Model::load_file(board.monitor.model.as_deref(), ModelOptions::default())?;
+    let model = LoadedModel::load_file(board.monitor.model.as_deref(), ModelOptions::default())?;
     let reference = read_reference(&board, &args.board)?;
     let name = board.monitor.reference.as_deref();
     let name = name.map_or_else(|| "built-in".to_owned(), |path| path.display().to_string());
@@ -124,55 +124,14 @@ pub fn run(args: &MonitorArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
     };
     told?;
     if let Some(kept) = kept? {
-        tell_evidence(kept, out)?;
+        evidence_line(kept, out)?;
     }
     Ok(0)
 }
 
-/// The board's rates. A window must hold more than one of the slow frames, so that none of them is a hole in time.
-pub(super) fn periods(
-    board: &Board,
-    reference: &Reference,
-    file: &Path,
-) -> anyhow::Result<Periods> {
-    let period = |rate_hz: f64| Duration::from_secs_f64(1.0 / rate_hz);
-    let periods = Periods {
-        full: period(board.monitor.rate_hz),
-        idle: period(board.monitor.idle_rate_hz),
-    };
-    if periods.idle.as_secs_f64() > reference.window_s {
-        bail!(
-            "{}: idle_rate_hz = {}, but the reference has windows of {} s; wanted at least {:.2} frames a second",
-            file.display(),
-            board.monitor.idle_rate_hz,
-            reference.window_s,
-            1.0 / reference.window_s
-        );
-    }
-    Ok(periods)
-}
-
-/// A reference made of simulation alone is a standing gap on a road, so a board must ask for it.
-pub(super) fn read_reference(board: &Board, file: &Path) -> anyhow::Result<Reference> {
-    let reference = Reference::read(board.monitor.reference.as_deref())?;
-    if reference.strict && !board.monitor.strict {
-        bail!(
-            "{}: the reference {} is made of simulation alone, so any real road is a gap to it; wanted reference = \"FILE\" \
-             of one with accepted drives, or strict = true, in [monitor]",
-            file.display(),
-            board
-                .monitor
-                .reference
-                .as_ref()
-                .map_or_else(|| "built-in".to_owned(), |path| path.display().to_string()),
-        );
-    }
-    Ok(reference)
-}
-
 /// Keeps evidence where the command line or the board says so.
 /// A disk that takes no evidence costs no verdict.
-fn recorder(args: &MonitorArgs, board: &Board, model: &Model) -> Option<EventRecorder> {
+fn recorder(args: &MonitorArgs, board: &Board, model: &LoadedModel) -> Option<EventRecorder> {
     let (asked, on_board) = (args.evidence.as_ref(), board.evidence.as_ref());
     let folder = asked.or(on_board.map(|evidence| &evidence.folder))?;
     let quota = on_board.map_or_else(

@@ -19,7 +19,9 @@ use gapwatch::record::journal::{About, Journal, RecordingJournal};
 use gapwatch::reference::Reference;
 
 use super::live::Live;
-use super::{Model, signals, state_line, tell_evidence};
+use super::loaded_model::LoadedModel;
+use super::signals;
+use super::state_lines::{evidence_line, state_line};
 use crate::cli::args::{ReplayArgs, Speed};
 
 /// How soon a wait for the next frame ends after a signal.
@@ -43,7 +45,7 @@ struct Summary {
 
 pub fn run(args: &ReplayArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
     check_outputs(args)?;
-    let model = Model::load(&args.model)?;
+    let model = LoadedModel::load(&args.model)?;
     let reference = Reference::read(args.reference.as_deref())?;
     let reference_name = args
         .reference
@@ -113,7 +115,7 @@ pub fn run(args: &ReplayArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
     ended?;
     finished?;
     summary.tell(began.elapsed(), out)?;
-    kept.map_or(Ok(()), |kept| tell_evidence(kept, out))?;
+    kept.map_or(Ok(()), |kept| evidence_line(kept, out))?;
     if stop.load(Ordering::Relaxed) {
         bail!(
             "{source_name}: stopped by a signal after {} frames; what was to be written is whole up to there",

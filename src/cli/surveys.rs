@@ -3,17 +3,12 @@
 use anyhow::bail;
 use gapwatch::calibration::survey::{Keep, Survey, SurveyError};
 use gapwatch::capture::open;
-use gapwatch::model::ModelSpec;
-use gapwatch::model::encoder::Executor;
 use rayon::prelude::*;
 
-use super::{Model, frames_max, progress};
+use super::loaded_model::LoadedModel;
+use super::progress;
 
-impl Model {
-    pub fn load_spec(spec: &ModelSpec) -> anyhow::Result<Self> {
-        Self::of_spec(spec.clone(), Executor::default())
-    }
-
+impl LoadedModel {
     /// Looks at whole sources, several at a time; a source that cannot be opened fails before any is looked at.
     pub fn survey(
         &self,
@@ -26,7 +21,7 @@ impl Model {
             .map(|name| Ok(open(name)?.frame_count()))
             .collect::<anyhow::Result<Vec<_>>>()?;
         let count: Option<u64> = counts.into_iter().sum();
-        let most = frames_max(keep);
+        let most = keep.frames_max();
         if let Some(count) = count.filter(|&count| count > most) {
             bail!(
                 "{count} frames in all; wanted at most {most}: take fewer or shorter drives, or a lower fps"

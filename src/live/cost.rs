@@ -159,6 +159,11 @@ pub fn resident_bytes() -> io::Result<u64> {
         .ok_or_else(|| io::Error::other("/proc/self/status: no VmRSS"))
 }
 
+/// Milliseconds, to the microsecond.
+pub fn ms(time: Duration) -> f64 {
+    (time.as_secs_f64() * 1e6).round() / 1e3
+}
+
 /// The value that `percent` of the times do not exceed; zero of none.
 pub fn quantile(mut times: Vec<Duration>, percent: usize) -> Duration {
     times.sort_unstable();

@@ -5,14 +5,14 @@ use std::time::{Duration, Instant};
 
 use gapwatch::capture::pixels::Pixels;
 use gapwatch::capture::{Frame, open};
-use gapwatch::live::cost::quantile;
+use gapwatch::live::cost::{ms, quantile};
 use gapwatch::monitor::pipeline::Monitor;
 use gapwatch::record::events::{EventRecorder, Quota};
 use gapwatch::reference::Reference;
 use serde::Serialize;
 
-use super::{Model, ms};
 use crate::cli::args::BenchArgs;
+use crate::cli::loaded_model::LoadedModel;
 
 /// Blocks, every second one with the recorder.
 const BLOCKS: u32 = 8;
@@ -58,7 +58,7 @@ impl EvidenceCost {
 /// Runs a monitor at the pace of a camera.
 pub fn cost(
     args: &BenchArgs,
-    model: &Model,
+    model: &LoadedModel,
     reference: &Reference,
 ) -> anyhow::Result<EvidenceCost> {
     let pictures = |condition: &str| -> anyhow::Result<Vec<Pixels>> {

@@ -3,18 +3,23 @@
 use std::time::Duration;
 
 use gapwatch::live::board::Board;
-use gapwatch::live::cost::{Buffer, chain_times, quantile, resident_bytes};
+use gapwatch::live::cost::{Buffer, chain_times, ms, quantile, resident_bytes};
 use gapwatch::monitor::pipeline::Monitor;
 use gapwatch::reference::Reference;
 
-use super::super::Model;
-use super::Check;
 use super::camera::Taken;
+use super::check::Check;
+use crate::cli::loaded_model::LoadedModel;
 
 /// Longest measurement.
 const MEASURE: Duration = Duration::from_secs(2);
 
-pub fn check(board: &Board, model: &Model, reference: &Reference, taken: &Taken) -> Vec<Check> {
+pub fn check(
+    board: &Board,
+    model: &LoadedModel,
+    reference: &Reference,
+    taken: &Taken,
+) -> Vec<Check> {
     let mut checks = Vec::new();
     match judged(model, reference, taken) {
         Err(error) => {
@@ -41,7 +46,7 @@ pub fn check(board: &Board, model: &Model, reference: &Reference, taken: &Taken)
 
 /// How many frames can be judged, and what is wrong with the last or with most of them: a camera needs a moment to see.
 fn judged(
-    model: &Model,
+    model: &LoadedModel,
     reference: &Reference,
     taken: &Taken,
 ) -> anyhow::Result<(usize, Option<String>)> {
@@ -55,7 +60,7 @@ fn judged(
     Ok((judged, why.map(ToString::to_string)))
 }
 
-fn time(board: &Board, model: &Model, reference: &Reference, taken: &Taken) -> Check {
+fn time(board: &Board, model: &LoadedModel, reference: &Reference, taken: &Taken) -> Check {
     let pixels = taken
         .frames
         .iter()
@@ -102,8 +107,4 @@ fn memory(board: &Board) -> Check {
             format!("{used:.0} MiB resident; {allowed:.0} MiB allowed"),
         ),
     }
-}
-
-fn ms(time: Duration) -> f64 {
-    time.as_secs_f64() * 1e3
 }

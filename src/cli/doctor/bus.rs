@@ -7,7 +7,7 @@ use gapwatch::can::receiver::{Heard, Receiver};
 use gapwatch::can::{BusState, Sink, WarningSink};
 use gapwatch::live::board::Board;
 
-use super::Check;
+use super::check::Check;
 
 /// How often the bus is listened to.
 const TICK: Duration = Duration::from_millis(5);

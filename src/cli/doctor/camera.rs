@@ -12,7 +12,7 @@ use gapwatch::capture::{Frame, FrameSource, SourceError, camera_facts, open_came
 use gapwatch::live::board::Board;
 use gapwatch::live::cost::{quantile, thread_cpu_time};
 
-use super::Check;
+use super::check::Check;
 
 /// Frames that are taken.
 const FRAMES: usize = 11;

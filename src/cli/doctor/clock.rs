@@ -5,7 +5,7 @@ use std::time::SystemTime;
 
 use gapwatch::capture::clock;
 
-use super::Check;
+use super::check::Check;
 
 /// Where Linux says what its clocks count.
 const SOURCE: &str = "/sys/devices/system/clocksource/clocksource0/current_clocksource";

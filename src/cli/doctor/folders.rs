@@ -5,7 +5,7 @@ use std::path::Path;
 use gapwatch::files::whole_file::unnamed;
 use gapwatch::record::events::{Found, examine};
 
-use super::Check;
+use super::check::Check;
 
 /// The only folder that the service may write, made when it starts; and where its boards are.
 const OF_SERVICE: &str = "/var/lib/gapwatch";

@@ -8,8 +8,8 @@ use gapwatch::capture::drives;
 use gapwatch::lab::evaluation::field_sets::{ImageSequence, SequenceSet};
 use gapwatch::model::ModelOptions;
 
-use super::super::Model;
 use crate::cli::args::EvaluateArgs;
+use crate::cli::loaded_model::LoadedModel;
 
 /// A set of the folder.
 ///
@@ -89,7 +89,7 @@ const CLIP: &str = "real/california_highway/solidWhiteRight.mp4";
 /// The model, and the folder of image sets if there is one.
 pub struct Field {
     folder: Option<PathBuf>,
-    model: Model,
+    model: LoadedModel,
 }
 
 impl Field {
@@ -118,7 +118,7 @@ impl Field {
         };
         Ok(Self {
             folder: args.field.clone(),
-            model: Model::load_file(model, ModelOptions::default())?,
+            model: LoadedModel::load_file(model, ModelOptions::default())?,
         })
     }
 

@@ -19,11 +19,12 @@ use plotters::prelude::{
     SVGBackend, SeriesLabelPosition, WHITE,
 };
 
+use super::super::progress;
 use super::super::quick_reference::made_for;
-use super::super::{Model, progress};
 use super::results::Row;
 use super::sheet::{Sheet, with_interval};
 use crate::cli::args::EvaluateArgs;
+use crate::cli::loaded_model::LoadedModel;
 
 /// What the rows mean.
 pub const ABOUT: &str = "Cost of a judged second of driving against what is missed, at thresholds for one false alarm an hour. Cost is CPU \
@@ -107,7 +108,7 @@ fn is_shipped(of: &SpeedError, taps: usize) -> bool {
 
 /// CPU time of a frame, from buffer to verdict, on one thread that has nothing else to do.
 fn frame_ms(spec: &ModelSpec) -> anyhow::Result<f64> {
-    let model = Model::load_spec(spec)?;
+    let model = LoadedModel::load_spec(spec)?;
     let reference = made_for(&model)?;
     let mut monitor = Monitor::new(&model.encoder, &reference)?;
     let (width, height) = SIZE;

@@ -1,0 +1,46 @@
+//! What `monitor` and `doctor` ask of a board beyond its file: rates and a reference that go together.
+
+use std::path::Path;
+use std::time::Duration;
+
+use anyhow::bail;
+use gapwatch::live::board::Board;
+use gapwatch::monitor::rate::Periods;
+use gapwatch::reference::Reference;
+
+/// The board's rates. A window must hold more than one of the slow frames, so that none of them is a hole in time.
+pub fn periods(board: &Board, reference: &Reference, file: &Path) -> anyhow::Result<Periods> {
+    let period = |rate_hz: f64| Duration::from_secs_f64(1.0 / rate_hz);
+    let periods = Periods {
+        full: period(board.monitor.rate_hz),
+        idle: period(board.monitor.idle_rate_hz),
+    };
+    if periods.idle.as_secs_f64() > reference.window_s {
+        bail!(
+            "{}: idle_rate_hz = {}, but the reference has windows of {} s; wanted at least {:.2} frames a second",
+            file.display(),
+            board.monitor.idle_rate_hz,
+            reference.window_s,
+            1.0 / reference.window_s
+        );
+    }
+    Ok(periods)
+}
+
+/// A reference made of simulation alone is a standing gap on a road, so a board must ask for it.
+pub fn read_reference(board: &Board, file: &Path) -> anyhow::Result<Reference> {
+    let reference = Reference::read(board.monitor.reference.as_deref())?;
+    if reference.strict && !board.monitor.strict {
+        bail!(
+            "{}: the reference {} is made of simulation alone, so any real road is a gap to it; wanted reference = \"FILE\" \
+             of one with accepted drives, or strict = true, in [monitor]",
+            file.display(),
+            board
+                .monitor
+                .reference
+                .as_ref()
+                .map_or_else(|| "built-in".to_owned(), |path| path.display().to_string()),
+        );
+    }
+    Ok(reference)
+}
