@@ -1,4 +1,4 @@
-//! One short file a command: wires a source, the chain and a sink.
+//! One short file for each command. It connects a source, the chain and a sink.
 
 pub mod args;
 #[cfg(feature = "lab")]
@@ -73,8 +73,8 @@ pub fn run(command: Command, out: &mut dyn Write) -> anyhow::Result<u8> {
     }
 }
 
-/// Most frames that are held in memory at once, of all sources that are compared or of one drive that is calibrated: about
-/// 25 KB a frame of the built-in model with its energy maps, or 4 KB of means alone.
+/// Largest number of frames in memory at a time: of all sources that are compared, or of one drive in calibration. A
+/// frame of the built-in model takes about 25 KB with its energy maps, or 4 KB with only the means.
 const fn frames_max(keep: Keep) -> u64 {
     match keep {
         Keep::Maps => 100_000,
@@ -82,7 +82,7 @@ const fn frames_max(keep: Keep) -> u64 {
     }
 }
 
-/// A loaded model with all that belongs to it.
+/// A loaded model with everything that belongs to it.
 struct Model {
     spec: ModelSpec,
     encoder: Encoder,
@@ -116,7 +116,7 @@ impl Model {
     }
 }
 
-/// One line for people about a change of state.
+/// One readable line about a change of state.
 fn state_line(verdict: &Verdict) -> String {
     let mut line = format!(
         "{:8.1} s  {:<11}",
@@ -127,7 +127,7 @@ fn state_line(verdict: &Verdict) -> String {
         (_, Some(why), _) => line += &format!("  {}: {why}", verdict.reason.name()),
         (AlarmState::Init, _, _) => line += "  starting",
         (_, None, Some(score)) => {
-            // No minus sign before a score that rounds to nothing.
+            // No minus sign before a score that rounds to zero.
             let hundredths = (100.0 * score).round() + 0.0;
             line += &format!("  score {:.2}", hundredths / 100.0);
         }
@@ -136,7 +136,7 @@ fn state_line(verdict: &Verdict) -> String {
     line
 }
 
-/// One line for people about the evidence of a run.
+/// One readable line about the evidence of a run.
 fn tell_evidence(kept: EventCounts, out: &mut dyn Write) -> std::io::Result<()> {
     write!(out, "evidence: {} events written", kept.events)?;
     for (count, what) in [
