@@ -1,4 +1,4 @@
-//! One short file a command: wires a source, the chain and a sink.
+//! One short file for each command. It connects a source, the chain and a sink.
 
 pub mod args;
 #[cfg(feature = "lab")]

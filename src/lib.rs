@@ -16,10 +16,10 @@
 //!   -> GapStatus   8 bytes with counter and CRC                             can
 //! ```
 //!
-//! [`monitor::pipeline::Monitor::step`] is that chain. What cannot be judged is [`capture::undefined::Undefined`], never a
-//! number, and the car is told `Unavailable` or `SensorFault`, never `Ok`.
+//! [`monitor::pipeline::Monitor::step`] is that chain. What cannot be judged is [`capture::undefined::Undefined`],
+//! never a number. The car then receives `Unavailable` or `SensorFault`, never `Ok`.
 //!
-//! The modules are layers, in this order; each uses only those before it:
+//! The modules are layers, in this order. Each one uses only those before it:
 //!
 //! | module | holds |
 //! |---|---|
@@ -34,23 +34,23 @@
 //! | [`record`] | the journal, and the pictures around alarms |
 //! | [`live`] | the board file, the live loop, what a frame costs |
 //! | [`calibration`] | nominal drives to a reference |
-//! | `lab` | rendered drives, studies, comparison, reports; left out of a car (feature `lab`) |
+//! | `lab` | rendered drives, studies, comparison, reports; not in the car's program (feature `lab`) |
 //!
 //! Words, each for one thing:
 //!
 //! | word | is |
 //! |---|---|
 //! | source | where frames come from: a camera, a folder, a video, a recording, a rendered drive |
-//! | drive | frames of one source in order of time |
+//! | drive | frames of one source in the order of time |
 //! | recording | an MCAP file |
 //! | tap | an inner value of the model that is looked at; its maps are those of a block |
 //! | energy | sum of squared activations, by pixel, by channel or by cell |
-//! | extraction | what a nominal domain takes of a frame: counts of bins, or levels of energies |
+//! | extraction | what a nominal domain takes from a frame: counts of bins, or levels of energies |
 //! | window | the last frames that are judged together |
 //! | gap | distance of a window from the nearest nominal domain, in units of its metric |
 //! | score | the gap scaled: 0 is the nominal median, 1 the alarm threshold |
 //! | evidence | what a window adds for or against an alarm |
-//! | verdict | what is known after a frame, or when none came |
+//! | verdict | what is known after a frame, or when no frame came |
 //! | reference | nominal domains with their thresholds, for one model |
 //! | survey | what the encoder saw of a whole drive |
 //! | calibration target | metric, window and rate of false alarms that a reference is made for |
@@ -80,7 +80,7 @@
 //! # }
 //! ```
 
-// In the order of the data: each uses those before it.
+// In the order of the data: each module uses those before it.
 pub mod files;
 pub mod statistics;
 

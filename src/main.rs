@@ -1,4 +1,4 @@
-//! Words typed → command → exit code.
+//! Command line → command → exit code.
 
 mod cli;
 
@@ -31,7 +31,8 @@ fn main() -> ExitCode {
     let mut out = std::io::stdout().lock();
     match cli::run(typed.command, &mut out).and_then(|code| Ok(out.flush().map(|()| code)?)) {
         Ok(code) => ExitCode::from(code),
-        // The reader of our output has left, as `head` does: not our fault, but not our job done either.
+        // The reader of our output has closed it, as `head` does. This is no error of ours, but our job is not done
+        // either.
         Err(error) if is_broken_pipe(&error) => ExitCode::from(COULD_NOT),
         Err(error) => {
             complain(&format!("{error:#}"));
@@ -40,7 +41,7 @@ fn main() -> ExitCode {
     }
 }
 
-/// Help and version as clap writes them; a wrong command line in one line.
+/// Prints help and version as clap writes them, and the error of a wrong command line in one line.
 fn refuse_or_help(error: &clap::Error) -> ExitCode {
     let nothing_typed = error.kind() == ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand;
     if !error.use_stderr() || nothing_typed {

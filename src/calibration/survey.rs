@@ -47,7 +47,7 @@ pub enum Keep {
 }
 
 impl Keep {
-    /// Most frames that are held in memory at once, of all sources that are compared or of one drive that is calibrated.
+    /// Largest number of frames in memory at a time: of all sources that are compared, or of one drive in calibration.
     pub const fn frames_max(self) -> u64 {
         match self {
             Self::Maps => 100_000,

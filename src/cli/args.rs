@@ -1,24 +1,25 @@
-//! The command line as typed.
+//! The command line.
 
 #[cfg(feature = "lab")]
 mod lab;
+mod model;
+mod values;
 
-use std::fmt::Display;
-use std::ops::RangeInclusive;
 use std::path::PathBuf;
-use std::str::FromStr;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use gapwatch::can::Sink;
-use gapwatch::model::ModelOptions;
 use gapwatch::record::events::Quota;
 use gapwatch::reference::gap::Metric;
-use gapwatch::reference::{WINDOW_S_MAX, WINDOW_S_MIN};
 
 #[cfg(feature = "lab")]
 pub use lab::*;
+pub use model::ModelArgs;
+pub use values::TableFormat;
+use values::{SOURCES, rate, seconds, whole};
 
-/// Watches the road through a lane model's own encoder and warns on CAN when it has left the domain the model knows.
+/// Watches the road through a lane model's own encoder, and warns on CAN when the road has left the domain that the
+/// model knows.
 #[derive(Debug, Parser)]
 #[command(version, propagate_version = true, arg_required_else_help = true)]
 pub struct Cli {
@@ -48,87 +49,78 @@ pub enum Command {
     PackageFiles(PackageFilesArgs),
 }
 
-/// How sources are named, for the help of every command that takes one.
-const SOURCES: &str = "Sources (in quotes: shells take ? and & for themselves):
-  scene:sim[?seed=7&seconds=60&fps=10&condition=fog:3@20-40]   rendered drive; severity reached at 20 s, gone at 40 s;
-                                                               also size=WxH, without=ELEMENT, looks sim-realistic, game
-  random:[seed=1&frames=60]                                    random pixels
-  DIR[?fps=10]                                                 folder of PNG or JPEG images in name order, 10 a second
-                                                               unless ?fps= says otherwise
-  FILE                                                         one image, or a video (through ffmpeg)
-  FILE.mcap[?topic=/camera]                                    recording with images of ROS 2 or Foxglove; its only topic with
-                                                               images unless ?topic= names one";
-
 /// Run a drive through the monitor, as in the car
 ///
-/// Without SOURCE: the built-in drive, 60 s with fog from 20 s to 40 s. One line on standard output for each change of
-/// state.
+/// Without SOURCE it runs the built-in drive of 60 s, which has fog from 20 s to 40 s. It prints one line on standard
+/// output for each change of state.
 #[derive(Debug, Args)]
-#[command(after_help = format!("{SOURCES}\n\nExit code with --check: 0 judged at least 90 % of the time and no gap, 1 gap, \
-    3 could not judge\n\nExample:\n  gapwatch replay 'scene:sim?seed=5&condition=night:3@10-30' --can log:drive.log --journal drive.jsonl"))]
+#[command(after_help = format!("{SOURCES}\n\nExit codes with --check:\n  0  at least 90 % of the time was judged, and there was no gap\n  \
+    1  there was a gap\n  3  less than 90 % of the time was judged\n\nExample:\n  gapwatch replay 'scene:sim?seed=5&condition=night:3@10-30' --can log:drive.log --journal drive.jsonl"))]
 pub struct ReplayArgs {
-    /// What to look at
+    /// Source of the frames
     pub source: Option<String>,
-    /// Reference file; left out = the one inside the program
+    /// Reference file (default: the one inside the program)
     #[arg(long, value_name = "FILE")]
     pub reference: Option<PathBuf>,
     #[command(flatten)]
     pub model: ModelArgs,
-    /// Where CAN frames go: log:FILE (candump format), log:-, socketcan:IFACE (with --speed realtime) or none
+    /// Where CAN frames go: log:FILE (candump format), log:- (standard output), socketcan:IFACE (needs --speed
+    /// realtime) or none
     #[arg(long, value_name = "SINK", default_value = "none")]
     pub can: Sink,
-    /// The bus has CAN FD: send GapDetail too
+    /// The bus has CAN FD: also send GapDetail
     #[arg(long)]
     pub fd: bool,
-    /// Journal to write, JSON lines
+    /// Journal file to write (JSON lines)
     #[arg(long, value_name = "FILE")]
     pub journal: Option<PathBuf>,
-    /// MCAP recording to write: the frames as JPEG with their verdicts on one line of time, as Foxglove shows them
+    /// MCAP recording to write, for example for Foxglove: the frames as JPEG, with their verdicts
     #[arg(long, value_name = "FILE")]
     pub mcap: Option<PathBuf>,
-    /// Folder for frames and heat maps around the beginning of each alarm; left out = no picture is kept
+    /// Folder for frames and heat maps around the beginning of each alarm (default: no picture is kept)
     #[arg(long, value_name = "DIR")]
     pub evidence: Option<PathBuf>,
-    /// Most events that the folder of evidence holds; the oldest go first
+    /// Largest number of events in the evidence folder; the oldest are removed first
     #[arg(long, value_name = "N", default_value_t = 200, requires = "evidence", value_parser = whole::<u32>(1..=100_000))]
     pub evidence_events: u32,
-    /// Most megabytes that it holds
+    /// Largest size of the evidence folder, megabytes
     #[arg(long, value_name = "MB", default_value_t = 256, requires = "evidence", value_parser = whole::<u32>(1..=1_000_000))]
     pub evidence_mb: u32,
     /// Pace of the drive
     #[arg(long, value_enum, default_value = "max")]
     pub speed: Speed,
-    /// Let the exit code say what was found
+    /// Report the result in the exit code
     #[arg(long)]
     pub check: bool,
-    /// Say nothing but errors
+    /// Print only errors
     #[arg(short, long)]
     pub quiet: bool,
 }
 
 /// Watch a camera and warn on CAN, as the board file says
 ///
-/// Runs until SIGTERM, SIGINT or SIGHUP, then says on the bus that it has stopped; a second signal ends it at once. One line on standard output for each change of
-/// state. A board whose source is a drive shows it at its own pace and ends with it.
+/// Runs until SIGTERM, SIGINT or SIGHUP, and then reports on the bus that it has stopped. A second signal ends it at
+/// once. It prints one line on standard output for each change of state. If the source in the board file is a drive,
+/// the drive is shown at its own pace, and the monitor ends with it.
 #[derive(Debug, Args)]
 #[command(
     after_help = "Example:\n  gapwatch monitor --board boards/desk-vcan.toml --seconds 60 --journal drive.jsonl"
 )]
 pub struct MonitorArgs {
-    /// Board file: camera, bus, reference; boards/README.md has the words
+    /// Board file: camera, bus and reference (boards/README.md describes it)
     #[arg(long, value_name = "FILE.toml")]
     pub board: PathBuf,
     /// Stop after this many seconds
     #[arg(long, value_name = "N", value_parser = whole::<u32>(1..=u32::MAX))]
     pub seconds: Option<u32>,
-    /// Journal to write, JSON lines; each line is there as soon as it is written
+    /// Journal file to write (JSON lines); each line is in the file as soon as it is written
     #[arg(long, value_name = "FILE")]
     pub journal: Option<PathBuf>,
-    /// Folder for frames and heat maps around the beginning of each alarm, instead of the board's; without either no picture is
-    /// kept
+    /// Folder for frames and heat maps around the beginning of each alarm, instead of the board file's folder; if
+    /// neither names a folder, no picture is kept
     #[arg(long, value_name = "DIR")]
     pub evidence: Option<PathBuf>,
-    /// Say nothing but errors
+    /// Print only errors
     #[arg(short, long)]
     pub quiet: bool,
 }
@@ -147,21 +139,23 @@ impl ReplayArgs {
 /// Pace of a replay.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Speed {
-    /// As fast as the drive was
+    /// At the pace of the drive
     Realtime,
-    /// As fast as the computer can
+    /// As fast as possible
     Max,
 }
 
 /// Make a reference from nominal drives or simulator images
 ///
-/// With several sources every second one is held out to scale the gaps; of a single one, its last third. A rendered
-/// drive with seed=A..B stands for one drive a seed. Drives given with --held-out set the rate of false alarms (three
-/// of four) and judge it (the fourth); without them the reference says that its rate is not shown.
+/// With several sources, every second one is held out to scale the gaps. Of a single source, the last third is held
+/// out. A rendered drive with seed=A..B means one drive for each seed. Of the drives given with --held-out, three of
+/// four set the rate of false alarms, and the fourth judges it. Without them, the reference says that its rate is not
+/// shown.
 ///
-/// Drives are taken in an order of their own, so that on the command line does not matter. With --surveys what the encoder
-/// sees of each drive stays on disk: a run that was killed goes on where it was, another rate or metric costs no second look
-/// (but histograms need maps, which are kept only for them), and gapwatch merge makes one reference of several.
+/// The order of the drives on the command line does not matter. With --surveys, what the encoder sees of each drive is
+/// kept on disk. Then a run that was killed continues where it was, another rate or metric needs no second look at the
+/// drives (but metrics of histograms need maps, which are kept only for them), and gapwatch merge makes one reference
+/// of several.
 #[derive(Debug, Args)]
 #[command(after_help = format!("{SOURCES}\n\nExample:\n  gapwatch calibrate --sim town01 town02 --model lane.onnx --taps e2,e3,e4 \
     --size 800x288 --mean 0.36,0.37,0.37 --std 0.26,0.27,0.28 --out town.json"))]
@@ -169,31 +163,33 @@ pub struct CalibrateArgs {
     /// Nominal sources; each is one drive
     #[arg(long, value_name = "SOURCE", num_args = 1.., required_unless_present = "shard")]
     pub sim: Vec<String>,
-    /// Roads on which the lane model is known to work; each argument is one more nominal domain, but rendered drives that differ
-    /// in their seeds alone are one
+    /// Roads on which the lane model is known to work; each source is one more nominal domain, but rendered drives that
+    /// differ only in their seeds are one domain
     #[arg(long, value_name = "SOURCE", num_args = 1..)]
     pub accept: Vec<String>,
     /// Nominal drives that set and judge the rate of false alarms
     #[arg(long, value_name = "SOURCE", num_args = 1..)]
     pub held_out: Vec<String>,
-    /// For --metric lane-risk: rendered drives from which the model's losses are learnt, each as it is and under every
-    /// condition
+    /// For --metric lane-risk: rendered drives from which it learns what the model loses; each is used as it is and
+    /// under every condition
     #[arg(long, value_name = "scene:…", num_args = 1..)]
     pub labelled: Vec<String>,
-    /// Entries into Gap an hour of nominal driving
+    /// Wanted rate of false alarms: entries into Gap for each hour of nominal driving
     #[arg(long, value_name = "R", default_value_t = 1.0, value_parser = rate)]
     pub false_alarms_per_hour: f64,
-    /// How gaps are measured
+    /// Metric that measures the gap
     #[arg(long, value_name = "NAME", default_value_t = Metric::DEFAULT)]
     pub metric: Metric,
     /// Length of the detector's window, seconds
     #[arg(long, value_name = "SECONDS", default_value_t = 1.0, value_parser = seconds)]
     pub window: f64,
-    /// Folder that keeps what the encoder sees of each drive, one file a drive, for later runs and for gapwatch merge: about 4
-    /// KB a frame of the built-in model, 25 KB for histograms. Left out = a temporary folder in $TMPDIR or /var/tmp
+    /// Folder that keeps what the encoder sees of each drive, one file for each drive, for later runs and for gapwatch
+    /// merge: about 4 KB a frame of the built-in model, 25 KB for histograms (default: a temporary folder in $TMPDIR or
+    /// /var/tmp)
     #[arg(long, value_name = "DIR")]
     pub surveys: Option<PathBuf>,
-    /// Only look: FILE lists the drives, of which there may be any number of any role, for gapwatch merge
+    /// Only look at the drives and list them in FILE, for gapwatch merge; there may be any number of drives, of any
+    /// role
     #[arg(long, requires = "surveys")]
     pub shard: bool,
     #[command(flatten)]
@@ -205,9 +201,9 @@ pub struct CalibrateArgs {
 
 /// Merge references, or shards of one, made by gapwatch calibrate
 ///
-/// The result is the reference that calibrate would make of all their drives at once, bit for bit, whatever the order and
-/// grouping, on one kind of processor. Surveys are looked for in every folder NAME.surveys beside the files and in those of
-/// --surveys; a drive without one is looked at again.
+/// On one kind of processor, the result is bit for bit the reference that calibrate would make of all their drives, in
+/// any order and grouping. Surveys are read from every folder NAME.surveys beside the files, and from the folders of
+/// --surveys. A drive without a survey is looked at again.
 #[derive(Debug, Args)]
 #[command(
     after_help = "Example:\n  gapwatch calibrate --sim 'scene:sim?seed=1..200' --surveys a.surveys --shard --out a.json\n  \
@@ -218,7 +214,7 @@ pub struct MergeArgs {
     /// References or shards of the same model, metric, window and wanted rate; no drive may be in two of them
     #[arg(value_name = "FILE", required = true, num_args = 1..)]
     pub files: Vec<PathBuf>,
-    /// More folders of surveys, as calibrate --surveys keeps them
+    /// More folders of surveys, written by calibrate --surveys
     #[arg(long, value_name = "DIR", num_args = 1..)]
     pub surveys: Vec<PathBuf>,
     #[command(flatten)]
@@ -228,121 +224,35 @@ pub struct MergeArgs {
     pub out: PathBuf,
 }
 
-/// Check whether a board can do what its file asks, and say what to do where it cannot
+/// Check whether a computer can do what its board file asks, and say what to do if it cannot
 ///
-/// One line a check, pass, warn, fail or left out: board file, model, reference, camera and its formats, bus and who else is on it,
-/// time and memory of a frame, clock, folders. Sends nothing. Exit code 0 when nothing fails, else 2. A camera that the
-/// monitor is using is busy: stop it first.
+/// Prints one line for each check, with pass, warn, fail or left out: board file, model, reference, camera and its
+/// formats, bus and its other nodes, time and memory of a frame, clock, folders. It sends nothing. The exit code is 0
+/// if no check fails, else 2. A camera that the monitor is using is busy: stop the monitor first.
 #[derive(Debug, Args)]
 #[command(
     after_help = "Example:\n  gapwatch doctor --board boards/desk-vcan.toml --journal drive.jsonl"
 )]
 pub struct DoctorArgs {
-    /// Board file: camera, bus, reference; boards/README.md has the words
+    /// Board file: camera, bus and reference (boards/README.md describes it)
     #[arg(long, value_name = "FILE.toml")]
     pub board: PathBuf,
-    /// Journal that the monitor is to write
+    /// Journal that the monitor will write
     #[arg(long, value_name = "FILE")]
     pub journal: Option<PathBuf>,
-    /// Folder that is to hold evidence
+    /// Folder that will hold the evidence
     #[arg(long, value_name = "DIR")]
     pub evidence: Option<PathBuf>,
-    /// How the result is written
+    /// Format of the result
     #[arg(long, value_enum, default_value = "table")]
     pub format: TableFormat,
 }
 
-/// Write what a package holds beside the program: man pages and shell completions
+/// Write the man pages and shell completions of a package
 #[derive(Debug, Args)]
 #[command(hide = true)]
 pub struct PackageFilesArgs {
-    /// Folder to write, laid out as /usr/share
+    /// Folder to write to, laid out like /usr/share
     #[arg(value_name = "DIR")]
     pub out: PathBuf,
-}
-
-/// How a measurement is written.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum TableFormat {
-    Table,
-    Json,
-}
-
-/// The model, if not the built-in one
-#[derive(Debug, Args)]
-#[command(next_help_heading = "Model")]
-pub struct ModelArgs {
-    /// ONNX file of an encoder; options left out are read from a .toml of the same name beside it
-    #[arg(long, value_name = "FILE.onnx")]
-    pub model: Option<PathBuf>,
-    /// Names of one to three tapped values
-    #[arg(long, value_name = "A,B,C", value_delimiter = ',')]
-    pub taps: Option<Vec<String>>,
-    /// Name of the lane head's output, a logit a pixel of the input; only inspect and evaluate run it
-    #[arg(long, value_name = "NAME")]
-    pub lane: Option<String>,
-    /// Input size, pixels
-    #[arg(long = "size", id = "model-size", value_name = "WxH")]
-    pub size: Option<String>,
-    /// Mean of red, green, blue, of values 0..1
-    #[arg(long, value_name = "R,G,B", value_parser = numbers::<f32, 3>)]
-    pub mean: Option<[f32; 3]>,
-    /// Standard deviation of red, green, blue, of values 0..1
-    #[arg(long, value_name = "R,G,B", value_parser = numbers::<f32, 3>)]
-    pub std: Option<[f32; 3]>,
-    /// Part of the picture used, as shares of it
-    #[arg(long, value_name = "LEFT,TOP,WIDTH,HEIGHT", value_parser = numbers::<f64, 4>)]
-    pub crop: Option<[f64; 4]>,
-}
-
-impl ModelArgs {
-    /// The options without the file.
-    pub fn options(&self) -> ModelOptions {
-        ModelOptions {
-            taps: self.taps.clone(),
-            lane: self.lane.clone(),
-            size: self.size.clone(),
-            mean: self.mean,
-            std: self.std,
-            crop: self.crop,
-        }
-    }
-}
-
-fn numbers<T: FromStr, const N: usize>(text: &str) -> Result<[T; N], String> {
-    let numbers: Option<Vec<T>> = text
-        .split(',')
-        .map(|number| number.trim().parse().ok())
-        .collect();
-    numbers
-        .and_then(|numbers| numbers.try_into().ok())
-        .ok_or_else(|| format!("wanted {N} numbers between commas"))
-}
-
-fn seconds(text: &str) -> Result<f64, String> {
-    let range = WINDOW_S_MIN..=WINDOW_S_MAX;
-    let seconds = text.parse().ok().filter(|s| range.contains(s));
-    seconds.ok_or_else(|| format!("wanted seconds from {WINDOW_S_MIN} to {WINDOW_S_MAX}"))
-}
-
-fn rate(text: &str) -> Result<f64, String> {
-    let rate = text.parse().ok().filter(|r| (1e-6..=3_600.0).contains(r));
-    rate.ok_or_else(|| "wanted entries an hour from 0.000001 to 3600".to_owned())
-}
-
-/// A whole number in a range, refused in plain words.
-fn whole<T>(range: RangeInclusive<T>) -> impl Fn(&str) -> Result<T, String> + Clone + Send + Sync
-where
-    T: FromStr + PartialOrd + Display + Clone + Send + Sync + 'static,
-{
-    move |text| {
-        let number = text.parse().ok().filter(|number| range.contains(number));
-        number.ok_or_else(|| {
-            format!(
-                "wanted a whole number from {} to {}",
-                range.start(),
-                range.end()
-            )
-        })
-    }
 }

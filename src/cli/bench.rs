@@ -22,7 +22,7 @@ use crate::cli::args::{BenchArgs, TableFormat};
 use crate::cli::counting;
 use evidence::EvidenceCost;
 
-/// Frames that are shown, over and over.
+/// Number of frames, which are shown again and again.
 const SHOWN: usize = 6;
 /// Longest measurement: the rest of 20 s is for rendering and loading.
 const MEASURE: Duration = Duration::from_secs(8);
@@ -41,10 +41,10 @@ const STAGES: [&str; 9] = [
     "can",
 ];
 
-/// Place of the encoder among them.
+/// Index of the encoder in [`STAGES`].
 const ENCODER: usize = 4;
 
-/// What is written.
+/// The result.
 #[derive(Serialize)]
 struct Bench {
     machine: String,
@@ -57,15 +57,15 @@ struct Bench {
     encoder_ms: f64,
     /// What ran the encoder.
     executor: String,
-    /// Of the encoder's convolutions, two operations a product; `None` where their number is not known.
+    /// Speed of the encoder's convolutions, two operations for each product; `None` if their number is not known.
     encoder_gflops: Option<f64>,
-    /// Of a loop of products in registers on one core.
+    /// Speed of a loop of products in registers on one core.
     peak_gflops: f64,
     frame_ms: f64,
     frame_p99_ms: f64,
     /// CPU time of a thread for one frame through all stages.
     cpu_ms: f64,
-    /// Rendering one frame of the same size.
+    /// Time to render one frame of the same size.
     render_ms: f64,
     rss_mib: f64,
     start_ms: f64,
@@ -84,7 +84,7 @@ struct Stage {
     allocations: u64,
 }
 
-/// What was measured of one frame.
+/// What was measured for one frame.
 struct Sample {
     took: [Duration; STAGES.len()],
     allocations: [u64; STAGES.len()],
@@ -120,9 +120,9 @@ pub fn run(args: &BenchArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
         threads
             .into_iter()
             .map(|thread| {
-                thread
-                    .join()
-                    .unwrap_or_else(|_| Err(anyhow!("a measuring thread gave up")))
+                thread.join().unwrap_or_else(|_| {
+                    Err(anyhow!("a measuring thread ended with an internal error"))
+                })
             })
             .collect::<anyhow::Result<Vec<Measured>>>()
     })?;
@@ -137,7 +137,7 @@ pub fn run(args: &BenchArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
     Ok(0)
 }
 
-/// What a camera would give of the first frames of a rendered drive, and the median time that rendering one took.
+/// The buffers that a camera would give for the first frames of a rendered drive, and the median time to render one.
 fn buffers(args: &BenchArgs) -> anyhow::Result<(Vec<Buffer>, Duration)> {
     let (width, height) = (args.frame.width, args.frame.height);
     let mut source = open(&format!("scene:sim?seed=7&seconds=3&size={width}x{height}"))?;
@@ -268,13 +268,13 @@ fn summary(
     })
 }
 
-/// Operations per second in billions, to a tenth.
+/// Billions of operations per second, rounded to one decimal.
 #[allow(clippy::cast_precision_loss)]
 fn gflops(products: u64, time: Duration) -> f64 {
     (2.0 * products as f64 / time.as_secs_f64().max(1e-9) / 1e8).round() / 10.0
 }
 
-/// What a core can do at most: the best of a few short runs, since others may be using it.
+/// The peak speed of a core: the best of a few short runs, because other programs may use the core.
 fn peak_gflops() -> f64 {
     let run = |_| {
         let began = Instant::now();
@@ -288,7 +288,7 @@ fn mib(bytes: u64) -> f64 {
     (bytes as f64 / 1_048_576.0 * 100.0).round() / 100.0
 }
 
-/// Processor, cores and system, as far as they are told.
+/// Processor, cores and system, as far as they are known.
 fn machine() -> String {
     let processor = fs::read_to_string("/proc/cpuinfo").ok().and_then(|text| {
         let line = text.lines().find(|line| line.starts_with("model name"))?;
@@ -296,7 +296,7 @@ fn machine() -> String {
     });
     format!(
         "{}, {} cores, {} {}",
-        processor.as_deref().unwrap_or("processor not told"),
+        processor.as_deref().unwrap_or("unknown processor"),
         std::thread::available_parallelism().map_or(1, usize::from),
         std::env::consts::OS,
         std::env::consts::ARCH

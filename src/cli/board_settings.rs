@@ -8,7 +8,8 @@ use gapwatch::live::board::Board;
 use gapwatch::monitor::rate::Periods;
 use gapwatch::reference::Reference;
 
-/// The board's rates. A window must hold more than one of the slow frames, so that none of them is a hole in time.
+/// The board's rates. A window must hold more than one frame at the slow rate, so that the time between them is not an
+/// interruption.
 pub fn periods(board: &Board, reference: &Reference, file: &Path) -> anyhow::Result<Periods> {
     let period = |rate_hz: f64| Duration::from_secs_f64(1.0 / rate_hz);
     let periods = Periods {
@@ -27,13 +28,13 @@ pub fn periods(board: &Board, reference: &Reference, file: &Path) -> anyhow::Res
     Ok(periods)
 }
 
-/// A reference made of simulation alone is a standing gap on a road, so a board must ask for it.
+/// With a reference made of simulation alone, every real road is a gap, so a board must ask for it.
 pub fn read_reference(board: &Board, file: &Path) -> anyhow::Result<Reference> {
     let reference = Reference::read(board.monitor.reference.as_deref())?;
     if reference.strict && !board.monitor.strict {
         bail!(
             "{}: the reference {} is made of simulation alone, so any real road is a gap to it; wanted reference = \"FILE\" \
-             of one with accepted drives, or strict = true, in [monitor]",
+             with accepted drives, or strict = true, in [monitor]",
             file.display(),
             board
                 .monitor

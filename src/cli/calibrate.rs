@@ -60,7 +60,7 @@ pub fn run(args: &CalibrateArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
         Shard::new(model.fingerprint, wanted, sources).write(&args.out)?;
         writeln!(
             out,
-            "{}: shard of {drives} drives, {frames} frames, without thresholds: for gapwatch merge",
+            "{}: shard of {drives} drives, {frames} frames, without thresholds, for gapwatch merge",
             args.out.display()
         )?;
         return Ok(0);
@@ -73,7 +73,7 @@ pub fn run(args: &CalibrateArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
     Ok(0)
 }
 
-/// What a reference says, for people; `file` is where it was written.
+/// Writes a readable description of a reference; `file` is where it was written.
 pub fn describe(reference: &Reference, file: &Path, out: &mut dyn Write) -> anyhow::Result<()> {
     let frames = |of: fn(&gapwatch::reference::SourceUse) -> u64| {
         reference.provenance.sources.iter().map(of).sum::<u64>()
@@ -135,7 +135,7 @@ pub fn describe(reference: &Reference, file: &Path, out: &mut dyn Write) -> anyh
             alarms.wanted_per_hour
         ),
         Loudness::NotShown { .. } => {
-            writeln!(out, "  every fourth drive of --held-out judges")?;
+            writeln!(out, "  every fourth drive of --held-out judges the rate")?;
         }
         Loudness::NotLouder => {}
     }

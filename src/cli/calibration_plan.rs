@@ -1,4 +1,4 @@
-//! What a reference is made of: drives by role, in an order of their own, and what the encoder saw of them.
+//! What a reference is made of: drives by role, in a fixed order, and what the encoder saw of them.
 
 mod labelled;
 
@@ -30,26 +30,26 @@ use super::progress;
 /// Name of the first nominal domain.
 const SIMULATION: &str = "simulation";
 
-/// Drives by role, sorted, for thresholds of a kind.
+/// Drives by role, sorted, and the calibration target.
 pub struct CalibrationPlan {
     pub model: ModelFingerprint,
     pub wanted: Target,
     simulation: Vec<String>,
-    /// One entry a domain.
+    /// One entry for each domain.
     accepted: Vec<Vec<String>>,
     held_out: Vec<String>,
     labelled: Vec<String>,
 }
 
-/// What is at hand of a plan's drives.
+/// What has been found of a plan's drives.
 pub struct Found {
-    /// Of the simulation, each accepted domain and the held-out drives, in this order.
+    /// Surveys of the simulation, of each accepted domain and of the held-out drives, in this order.
     drives: Vec<Option<Stored<Survey>>>,
     labelled: Vec<Option<Stored<Vec<LabelledMeans>>>>,
 }
 
 impl CalibrationPlan {
-    /// Sorts drives; accepted ones that differ in their seeds alone are one domain.
+    /// Sorts drives. Accepted drives that differ only in their seeds are one domain.
     pub fn new(
         model: ModelFingerprint,
         wanted: Target,
@@ -76,7 +76,9 @@ impl CalibrationPlan {
         let mut seen = HashSet::new();
         let nominal = plan.nominal();
         if let Some(twice) = nominal.iter().find(|&source| !seen.insert(source)) {
-            bail!("source {twice} is given twice; held-out drives must be others than fitted ones");
+            bail!(
+                "source {twice} is given twice; held-out drives must be different from fitted drives"
+            );
         }
         let mut seen = HashSet::new();
         if let Some(twice) = plan.labelled.iter().find(|&source| !seen.insert(source)) {
@@ -84,7 +86,7 @@ impl CalibrationPlan {
         }
         if plan.accepted.len() >= COMPONENTS_MAX {
             bail!(
-                "{} accepted domains; wanted at most {}: one source may stand for many drives, as in seed=1..60",
+                "{} accepted domains; wanted at most {}: one source may name many drives, as in seed=1..60",
                 plan.accepted.len(),
                 COMPONENTS_MAX - 1
             );
@@ -104,10 +106,10 @@ impl CalibrationPlan {
         Ok(plan)
     }
 
-    /// Refuses drives of which no reference can be made.
+    /// Refuses drives from which no reference can be made.
     pub fn check_whole(&self) -> anyhow::Result<()> {
         if self.simulation.is_empty() {
-            bail!("no nominal drive of the simulation; wanted some with --sim");
+            bail!("no nominal drive of the simulation; wanted at least one with --sim");
         }
         if self.wanted.metric == Metric::LaneRisk && self.labelled.is_empty() {
             bail!("--metric lane-risk and --labelled belong together; wanted both or neither");
@@ -131,14 +133,15 @@ impl CalibrationPlan {
         }
     }
 
-    /// What a store has of the drives; with the model in use, only what would be the same if it were looked at now.
+    /// What a store has of the drives. If `now` is the model in use, only surveys that would be the same if they were
+    /// made now.
     pub fn find(&self, store: &SurveyStore, now: Option<&ModelSpec>) -> anyhow::Result<Found> {
         let nominal = self.nominal();
         let drives = nominal.par_iter().map(|name| {
             let stamp = now.map(|_| stamp(name)).transpose()?;
             let find = |kept| found(store, name, kept, stamp.as_deref());
             match (find(self.keep().into())?, self.keep()) {
-                // Beside maps there are means too.
+                // Surveys with maps have means too.
                 (None, Keep::Means) => Ok(find(SurveyKind::Maps)?),
                 (there, _) => Ok(there),
             }
@@ -154,7 +157,8 @@ impl CalibrationPlan {
         })
     }
 
-    /// Looks at the drives that were not found; a source that cannot be opened fails before any is looked at.
+    /// Looks at the drives that were not found. A source that cannot be opened is an error before any drive is looked
+    /// at.
     pub fn look(
         &self,
         found: &mut Found,
@@ -175,7 +179,7 @@ impl CalibrationPlan {
             let most = keep.frames_max();
             if let Some(count) = count.filter(|&count| count > most) {
                 bail!(
-                    "{name}: {count} frames in one drive; wanted at most {most}: take shorter drives, or a lower fps"
+                    "{name}: {count} frames in one drive; wanted at most {most}: use shorter drives, or a lower fps"
                 );
             }
             total = total.zip(count).map(|(total, count)| total + count);
@@ -197,7 +201,7 @@ impl CalibrationPlan {
         Ok(())
     }
 
-    /// The labelled drives seen through the lane model, plain and under every condition.
+    /// Looks at the labelled drives with the lane model, plain and under every condition.
     fn look_at_labelled(
         &self,
         found: &mut Found,
@@ -256,7 +260,7 @@ impl CalibrationPlan {
         Ok(sources)
     }
 
-    /// The reference of drives that all have been found.
+    /// Makes the reference from the drives, all of which have been found.
     pub fn reference(&self, found: Found) -> anyhow::Result<Reference> {
         let drives = all(found.drives)?;
         let labelled = all(found.labelled)?;
@@ -308,7 +312,8 @@ impl CalibrationPlan {
         ))
     }
 
-    /// A command that makes the reference again: the same whatever was typed, so without the names of files on one machine.
+    /// A command that makes the reference again. It does not depend on what was typed, so it has no names of files on
+    /// one machine.
     fn command(&self) -> anyhow::Result<String> {
         let mut words: Vec<String> = vec!["gapwatch".to_owned(), "calibrate".to_owned()];
         let mut add = |flag: &str, values: &[String]| {
@@ -354,7 +359,7 @@ impl CalibrationPlan {
     }
 }
 
-/// A drive whose looks are counted.
+/// A drive that counts in the progress bar how often its survey is read.
 struct CountedDrive<'a, T> {
     drive: &'a Stored<T>,
     bar: &'a ProgressBar,
@@ -402,7 +407,7 @@ impl Found {
     }
 }
 
-/// A drive's survey in a store; of one that is damaged the user is told, and it is as if it were not there.
+/// A drive's survey in a store. A damaged survey is logged and counts as not found.
 fn found<T: Content>(
     store: &SurveyStore,
     name: &str,
@@ -423,7 +428,7 @@ fn all<T>(found: Vec<Option<T>>) -> anyhow::Result<Vec<T>> {
     all.context("a drive was not looked at")
 }
 
-/// What a labelled drive's frames depend on beside the encoder: the lane output.
+/// What a labelled drive's frames depend on besides the encoder: the lane output.
 fn lane_stamp(spec: &ModelSpec) -> String {
     spec.lane.clone().unwrap_or_default()
 }

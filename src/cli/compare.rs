@@ -22,7 +22,7 @@ pub fn run(args: &CompareArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
     };
     if !(2..=65_536).contains(&paper.levels) || paper.first >= paper.levels {
         bail!(
-            "--levels {} --first-level {}: wanted 2 to 65536 levels and a first one below that",
+            "--levels {} --first-level {}: wanted 2 to 65536 levels, and a first level below their number",
             paper.levels,
             paper.first
         );

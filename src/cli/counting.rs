@@ -1,4 +1,5 @@
-//! The program's allocator: the system's, counting for `bench` how often each thread asks it for memory.
+//! The program's allocator: the system's allocator, which also counts for `bench` how often each thread requests
+//! memory.
 
 #![allow(unsafe_code)]
 
@@ -15,7 +16,7 @@ pub fn requests() -> u64 {
 }
 
 fn count() {
-    // A thread that is ending has no counter any more.
+    // A thread that is ending no longer has a counter.
     let _ = REQUESTS.try_with(|requests| requests.set(requests.get() + 1));
 }
 

@@ -1,7 +1,7 @@
-//! `gapwatch doctor`: whether a computer can do what its board file asks, and what to do where it cannot.
+//! `gapwatch doctor`: whether a computer can do what its board file asks, and what to do if it cannot.
 //!
-//! One check after the other, in the order of the chain; what needs something that failed before is left out, with the
-//! reason. Refuses to send: a bus is only listened to.
+//! The checks run one after the other, in the order of the chain. A check that needs something that failed before is
+//! left out, with the reason. Nothing is sent: the doctor only listens to the bus.
 
 mod budget;
 mod bus;
@@ -37,7 +37,7 @@ pub fn run(args: &DoctorArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
     if !failed.is_empty() {
         out.flush()?;
         bail!(
-            "{}: {} of {} checks fail: {}; what to do stands beside each",
+            "{}: {} of {} checks fail: {}; the remedy is beside each of them",
             args.board.display(),
             failed.len(),
             checks.len(),
@@ -51,7 +51,7 @@ fn examine(args: &DoctorArgs) -> Vec<Check> {
     let board = match Board::read(&args.board) {
         Ok(board) => board,
         Err(error) => {
-            let remedy = "mend the board file; boards/README.md has its words";
+            let remedy = "correct the board file; boards/README.md describes it";
             return vec![Check::fail("board", error.to_string(), remedy)];
         }
     };
@@ -95,13 +95,13 @@ fn model(board: &Board) -> (Option<LoadedModel>, Check) {
             (Some(model), Check::pass("model", found))
         }
         Err(error) => {
-            let remedy = "name an ONNX file with a .toml beside it as model in [monitor], or none for the built-in one";
+            let remedy = "name an ONNX file that has a .toml file beside it as model in [monitor], or no model for the built-in one";
             (None, Check::fail("model", format!("{error:#}"), remedy))
         }
     }
 }
 
-/// Also when the model does not load the file is read, so that both are told at once.
+/// The file is read also when the model does not load, so that both faults are reported at the same time.
 fn reference(
     board: &Board,
     args: &DoctorArgs,
@@ -112,20 +112,21 @@ fn reference(
     let reference = match read_reference(board, &args.board) {
         Ok(reference) => reference,
         Err(error) => {
-            let remedy = "calibrate one (gapwatch calibrate --accept), name it, and say in [monitor] whether it is strict";
+            let remedy = "make a reference (gapwatch calibrate --accept) and name it in [monitor], with strict = true if it is strict";
             return (None, Check::fail("reference", format!("{error:#}"), remedy));
         }
     };
     if let Err(error) = periods(board, &reference, &args.board) {
-        let remedy = "a higher idle_rate_hz in [monitor], or a reference with longer windows";
+        let remedy =
+            "set a higher idle_rate_hz in [monitor], or name a reference with longer windows";
         return (None, Check::fail("reference", format!("{error:#}"), remedy));
     }
     let Some(model) = model else {
-        let why = format!("{name} is whole; no model to compare it with");
+        let why = format!("{name} is complete; there is no model to compare it with");
         return (None, Check::left_out("reference", why));
     };
     if let Err(error) = reference.check_fits(&name, &model.fingerprint) {
-        let remedy = "name the model that it was made with, or calibrate one for this model";
+        let remedy = "name the model that it was made with, or make a reference for this model";
         return (None, Check::fail("reference", error.to_string(), remedy));
     }
     let strict = if reference.strict {
@@ -145,12 +146,12 @@ fn reference(
         Loudness::NotShown { .. } => Check::warn(
             "reference",
             found,
-            "calibrate one with more nominal drives as --held-out, of which every fourth judges; until then nobody knows how often it warns without a reason",
+            "make a reference with more nominal drives as --held-out, every fourth of which judges; until then it is not known how often it warns without a reason",
         ),
         Loudness::Louder => Check::fail(
             "reference",
             found,
-            "calibrate one with more nominal drives of every kind of road as --held-out, and --accept the roads that it is loud on",
+            "make a reference with more nominal drives of every kind of road as --held-out, and --accept the roads on which it gives false alarms",
         ),
     };
     (Some(reference), check)

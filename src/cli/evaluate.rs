@@ -1,6 +1,6 @@
-//! `gapwatch evaluate`: how accurate models and the monitor are, on fixed scenes and drives.
+//! `gapwatch evaluate`: measures how accurate models and the monitor are on fixed scenes and drives.
 //!
-//! A key is a file below: `rows` makes its results, `ABOUT` says what they mean, `sheets` shows them.
+//! Each key has a file below: `rows` makes its results, `ABOUT` says what they mean, and `sheets` shows them.
 
 mod command;
 mod domain_detection;
@@ -37,7 +37,7 @@ pub fn run(args: &EvaluateArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
     if !args.from.is_empty() {
         let pages = matches!(args.format, ResultsFormat::Table | ResultsFormat::Markdown);
         if args.from.len() > 1 && !pages {
-            bail!("several files are shown as table or markdown only; wanted one --from");
+            bail!("several files can be shown only as table or markdown; wanted one --from");
         }
         if args.format == ResultsFormat::Markdown {
             made_from(&args.from, out)?;
@@ -68,7 +68,7 @@ pub fn run(args: &EvaluateArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
     }
     let built_in = ModelSpec::new(None, ModelOptions::default())?;
     let built_in = Encoder::load(&built_in)?.sha256().to_owned();
-    // What cannot be opened is refused before any work is done that could be lost.
+    // Whatever cannot be opened is an error before any work is done that could be lost.
     let models = if wanted(EvaluateKey::LaneIou) {
         lane_iou::models(&args.model)?
     } else {
@@ -100,7 +100,7 @@ pub fn run(args: &EvaluateArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
     let store = args.out.as_deref().map(Store::open).transpose()?;
     if args.field.is_none() && args.only.is_none() {
         log::warn!(
-            "field_sets and the real images of paper_table are left out: they need --field DIR"
+            "field_sets and the real images of paper_table are left out, because they need --field DIR"
         );
     }
     let mut results = Results::default();

@@ -27,7 +27,7 @@ use super::pictures::write_png;
 use super::progress;
 use crate::cli::args::InspectArgs;
 
-/// Panels of a sheet are enlarged, by a whole factor, to at least this width, pixels.
+/// Panels of a sheet are enlarged by a whole factor to at least this width, pixels.
 const PANEL_WIDTH_PX: u32 = 480;
 
 /// `inspect.json`.
@@ -47,24 +47,24 @@ struct Inspected {
     frame: u64,
     t_s: f64,
     sheet: Option<String>,
-    /// Why there is no sheet.
+    /// Reason why there is no sheet.
     reason: Option<String>,
-    /// Share of the picture that the model calls lane.
+    /// Share of the picture that the model marks as lane.
     lane_area: Option<f64>,
     taps: BTreeMap<String, TapNumbers>,
 }
 
-/// One tap, of a frame or the median over frames.
+/// Numbers of one tap, of a frame or as the median over frames.
 #[derive(Clone, Default, Serialize)]
 struct TapNumbers {
     peak_energy: Option<f64>,
-    /// Share of the energy on what the model calls lane.
+    /// Share of the energy on what the model marks as lane.
     energy_on_lanes: Option<f64>,
     /// That share as a multiple of the lanes' share of the picture.
     lift: Option<f64>,
-    /// Gap of this frame alone, in the reference's metric.
+    /// Gap of only this frame, in the reference's metric.
     gap: Option<f64>,
-    /// 0 nominal, 1 alarm threshold of windows of one frame.
+    /// Score: 0 is nominal, 1 is the alarm threshold for windows of one frame.
     score: Option<f64>,
     /// Which part of the picture differs from the reference.
     regions: Option<Regions>,
@@ -72,19 +72,19 @@ struct TapNumbers {
     profile: Option<Profile>,
 }
 
-/// What is behind a gap.
+/// What causes a gap.
 #[derive(Clone, Serialize)]
 struct Profile {
     #[serde(flatten)]
     of_tap: TapProfile,
-    /// Of a histogram: live shares of the bins before the first counted one, relative to what is counted.
+    /// For a histogram: live shares of the bins before the first counted bin, relative to what is counted.
     left_out: Vec<f64>,
 }
 
 /// Regions of the picture, row by row from the top.
 #[derive(Clone, Serialize)]
 struct Regions {
-    /// Of the region's log energy from its nominal mean, nominal spreads.
+    /// Deviation of the region's log energy from its nominal mean, in nominal spreads.
     deviation: [[f64; GRID]; GRID],
     /// Share of the sum of the squared deviations.
     share: [[f64; GRID]; GRID],
@@ -111,7 +111,7 @@ pub fn run(args: &InspectArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
     let bar = progress::frames(Some(total), "inspecting");
     let mut frames: Vec<Inspected> = Vec::new();
     while let Some(frame) = source.next_frame()? {
-        // Evenly spread: frame i of n is taken where i * wanted / n steps up.
+        // The chosen frames are evenly spread: frame i of n is taken where i * wanted / n steps up.
         let chosen = frame.sequence * wanted % total < wanted;
         if chosen {
             let compared = comparison.as_mut();
@@ -180,7 +180,7 @@ pub fn run(args: &InspectArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
 }
 
 impl Comparison {
-    /// With the reference that is asked for, or the one inside the program where it fits.
+    /// Uses the reference that is asked for, or the one inside the program if it fits the model.
     fn new(
         args: &InspectArgs,
         spec: &ModelSpec,
@@ -200,7 +200,7 @@ impl Comparison {
         }))
     }
 
-    /// One entry a tap of a frame by itself; none when it cannot be judged.
+    /// One entry for each tap of a single frame; empty if the frame cannot be judged.
     fn compare(
         &mut self,
         maps: &[EnergyMap],
@@ -213,7 +213,7 @@ impl Comparison {
     }
 }
 
-/// What a histogram slices away, before the first bin it counts; empty of what counts everything.
+/// The bins that a histogram leaves out, before the first bin that it counts; empty if everything is counted.
 #[allow(clippy::cast_precision_loss)]
 fn left_out(nominal: &Nominal, common: &EnergyMap) -> Vec<f64> {
     let Nominal::Histogram {
@@ -243,7 +243,7 @@ fn left_out(nominal: &Nominal, common: &EnergyMap) -> Vec<f64> {
 }
 
 impl Regions {
-    /// Region by region over the frames that have them.
+    /// The median of each region over the frames that have it.
     fn median(tap: &str, frames: &[Inspected]) -> Option<Self> {
         let of_frames: Vec<&Self> = frames
             .iter()
@@ -283,7 +283,7 @@ fn in_rows(cells: &[f64; CELLS]) -> [[f64; GRID]; GRID] {
     std::array::from_fn(|row| std::array::from_fn(|column| cells[row * GRID + column]))
 }
 
-/// How many frames a source has; one that does not say is read through.
+/// Number of frames of a source. A source that does not give it is read to its end.
 fn count(name: &str) -> anyhow::Result<u64> {
     let mut source = open(name)?;
     if let Some(count) = source.frame_count() {

@@ -1,4 +1,5 @@
-//! One calm line on a terminal that says how the road looks now. Where standard error is no terminal there is none.
+//! One steady line on a terminal that says how the road looks now. If standard error is not a terminal, there is no
+//! line.
 
 use std::io::{self, IsTerminal};
 use std::time::{Duration, Instant};
@@ -8,18 +9,18 @@ use gapwatch::monitor::alarm::AlarmState;
 use gapwatch::monitor::judge::Verdict;
 use indicatif::{HumanDuration, ProgressBar, ProgressDrawTarget, ProgressStyle};
 
-/// How often the line changes, a second: as often as one can read it.
+/// How often the line changes in a second: as often as it can be read.
 const HZ: u8 = 4;
-/// Time over which the rate is taken.
+/// Time over which the rate is measured.
 const RATE_OVER: Duration = Duration::from_secs(1);
-/// Characters of the score's bar, of which the middle is the alarm threshold.
+/// Length of the score's bar in characters; its middle is the alarm threshold.
 const BAR: usize = 21;
 
 /// The line.
 pub struct Live {
     bar: ProgressBar,
     shown: Option<Instant>,
-    /// Frames that were looked at, since `since` and in all.
+    /// Frames that were looked at, since `since` and in total.
     frames: u32,
     counted: u64,
     since: Instant,
@@ -27,14 +28,14 @@ pub struct Live {
 }
 
 impl Live {
-    /// A line for so many frames, when that is known; `quiet` = none.
+    /// A line for `count` frames, if their number is known; with `quiet`, no line.
     pub fn new(count: Option<u64>, quiet: bool) -> Self {
         let target = if quiet || !io::stderr().is_terminal() {
             ProgressDrawTarget::hidden()
         } else {
             ProgressDrawTarget::stderr_with_hz(HZ)
         };
-        // One message holds all: position and estimate on their own would be drawn with every frame.
+        // One message holds everything. Separate fields for position and estimate would be drawn with every frame.
         let style =
             ProgressStyle::with_template("{msg}").unwrap_or_else(|_| ProgressStyle::default_bar());
         Self {
@@ -47,7 +48,7 @@ impl Live {
         }
     }
 
-    /// Shows what is known; `age` is that of the last frame that was looked at.
+    /// Shows what is known; `age` is the age of the last frame that was looked at.
     pub fn show(&mut self, verdict: &Verdict, age: Duration) {
         if self.bar.is_hidden() {
             return;
@@ -71,7 +72,7 @@ impl Live {
         self.counted += 1;
     }
 
-    /// How far it is, and how long it takes to the end where that is known.
+    /// How much is done, and how long the rest takes if that is known.
     #[allow(clippy::cast_precision_loss)]
     fn progress(&self) -> String {
         let elapsed = self.bar.elapsed();
@@ -83,7 +84,7 @@ impl Live {
         format!("{}/{count} frames, {left:#} left", self.counted)
     }
 
-    /// Writes a line above this one; the two never tear each other.
+    /// Writes a line above this line; the two lines are never mixed.
     pub fn above(&self, write: impl FnOnce() -> io::Result<()>) -> io::Result<()> {
         if self.bar.is_hidden() {
             write()
@@ -92,7 +93,7 @@ impl Live {
         }
     }
 
-    /// Takes the line away.
+    /// Removes the line.
     pub fn finish(&self) {
         self.bar.finish_and_clear();
     }
@@ -128,7 +129,7 @@ fn score_bar(score: f64) -> String {
     (0..BAR).map(sign).collect()
 }
 
-/// In the state's colour, where the terminal and its user want colours.
+/// The text in the colour of the state, if the terminal and its user allow colours.
 fn coloured(state: AlarmState, text: String) -> StyledObject<String> {
     let style = Style::new().for_stderr();
     let style = match state {

@@ -8,7 +8,7 @@ use gapwatch::reference::ModelFingerprint;
 
 use super::args::ModelArgs;
 
-/// A loaded model with all that belongs to it.
+/// A loaded model with everything that belongs to it.
 pub struct LoadedModel {
     pub spec: ModelSpec,
     pub encoder: Encoder,
@@ -31,6 +31,7 @@ impl LoadedModel {
         Self::of_spec(ModelSpec::new(file, options)?, Executor::default())
     }
 
+    #[cfg(feature = "lab")]
     pub fn load_spec(spec: &ModelSpec) -> anyhow::Result<Self> {
         Self::of_spec(spec.clone(), Executor::default())
     }

@@ -1,5 +1,5 @@
-//! Log lines as their reader wants them: with colour and time on a terminal, with the level in front when systemd's journal
-//! reads them, which has a time of its own.
+//! Log lines for their reader: with colour and time on a terminal, and with only the level in front if systemd's
+//! journal reads them, because it adds the time.
 
 use std::io::Write;
 use std::os::unix::fs::MetadataExt;
@@ -7,7 +7,7 @@ use std::os::unix::fs::MetadataExt;
 use env_logger::{Builder, Env};
 use log::Level;
 
-/// Begins to log to standard error; warnings, unless `RUST_LOG` says otherwise.
+/// Begins to log to standard error: warnings and errors, unless `RUST_LOG` says otherwise.
 pub fn begin() {
     let mut builder = Builder::from_env(Env::default().default_filter_or("warn"));
     if is_read_by_systemd() {

@@ -36,14 +36,14 @@ pub fn run(args: &MergeArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
     let ours = env!("CARGO_PKG_VERSION");
     if first.gapwatch != ours {
         bail!(
-            "{}: made by gapwatch {}; wanted {ours}, the version that merges",
+            "{}: made by gapwatch {}; wanted {ours}, the version of this program",
             first_path.display(),
             first.gapwatch
         );
     }
     check_apart(&parts)?;
     let mut model = first.model.clone();
-    // The same for any order of the parts.
+    // This name is the same for any order of the parts.
     if let Some(name) = parts.iter().map(|(_, part)| &part.model.name).min() {
         model.name.clone_from(name);
     }
@@ -99,7 +99,7 @@ fn check_apart(parts: &[(&Path, Shard)]) -> anyhow::Result<()> {
     let mut owners: HashMap<(bool, &str), &Path> = HashMap::new();
     for (path, part) in parts {
         for of in &part.sources {
-            // Frames with lane labels may be of a drive that is also looked at plain.
+            // A drive with lane labels may also be looked at as a plain drive.
             let drive = (of.role == Role::Labelled, of.source.as_str());
             if let Some(other) = owners.insert(drive, path) {
                 bail!(
@@ -114,7 +114,7 @@ fn check_apart(parts: &[(&Path, Shard)]) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Where surveys may be: the folders named, and those that end so beside the files.
+/// Folders in which surveys may be: the folders named, and the folders `*.surveys` beside the files.
 fn folders(args: &MergeArgs) -> anyhow::Result<Vec<PathBuf>> {
     let mut folders = Vec::new();
     for folder in &args.surveys {

@@ -1,7 +1,7 @@
 //! `gapwatch monitor`: a camera through the monitor to the bus, in real time.
 //!
-//! Threads and clocks around the live loop: one thread takes frames, one judges the newest, and this one keeps the cycle of
-//! the bus whatever the others do.
+//! Threads and clocks around the live loop: one thread takes frames, another one judges the newest frame, and this
+//! thread keeps the cycle of the bus, whatever the others do.
 
 use std::io::Write;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -36,9 +36,9 @@ use super::state_lines::{evidence_line, state_line};
 use super::{service, signals};
 use crate::cli::args::MonitorArgs;
 
-/// How soon a bus is looked after again that a frame waits for.
+/// How soon the bus is served again while a frame waits for it.
 const SOON: Duration = Duration::from_millis(2);
-/// How long a full or absent bus is offered the last message.
+/// How long the last message is offered to a bus that is full or down.
 const LAST_WORD: Duration = Duration::from_millis(200);
 /// How long the end waits for a judge that hangs in a frame.
 const JUDGE_ENDS: Duration = Duration::from_secs(2);
@@ -115,11 +115,11 @@ pub fn run(args: &MonitorArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
     let kept = match judged.recv_timeout(JUDGE_ENDS) {
         Ok(judged) => judged,
         Err(RecvTimeoutError::Timeout) => {
-            log::error!("the judge hangs in a frame, and is not waited for");
+            log::error!("the judge hangs in a frame, and the program does not wait for it");
             Ok(None)
         }
         Err(RecvTimeoutError::Disconnected) => {
-            bail!("the judge of frames ended by an internal error")
+            bail!("the judge of frames ended with an internal error")
         }
     };
     told?;
@@ -129,8 +129,7 @@ pub fn run(args: &MonitorArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
     Ok(0)
 }
 
-/// Keeps evidence where the command line or the board says so.
-/// A disk that takes no evidence costs no verdict.
+/// Keeps evidence if the command line or the board asks for it. If the disk accepts no evidence, no verdict is lost.
 fn recorder(args: &MonitorArgs, board: &Board, model: &LoadedModel) -> Option<EventRecorder> {
     let (asked, on_board) = (args.evidence.as_ref(), board.evidence.as_ref());
     let folder = asked.or(on_board.map(|evidence| &evidence.folder))?;
@@ -144,20 +143,20 @@ fn recorder(args: &MonitorArgs, board: &Board, model: &LoadedModel) -> Option<Ev
     EventRecorder::start(folder, quota, &model.spec.taps)
         .inspect_err(|error| {
             log::error!(
-                "cannot keep evidence in {}, and watches without: {error}",
+                "cannot keep evidence in {}, and continues without it: {error}",
                 folder.display()
             );
         })
         .ok()
 }
 
-/// Listens before the first word: two senders of one identifier would destroy each other's frames.
+/// Listens before the first message, because two senders of one identifier would destroy each other's frames.
 fn listen(bus: &mut Bus, board: &Board, stop: &AtomicBool) -> anyhow::Result<()> {
     let began = Instant::now();
     while began.elapsed() < board.can.listen && !stop.load(Ordering::Relaxed) {
         if let Some(Heard::Foreign(id)) = bus.hear() {
             bail!(
-                "CAN id {id:#X} is already sent by another node on this bus; wanted an id of our own: set status or health in [can] of the board"
+                "CAN id {id:#X} is already sent by another node on this bus; wanted an id that no other node sends: set status or health in [can] of the board"
             );
         }
         std::thread::sleep(TICK);
@@ -169,7 +168,7 @@ fn listen(bus: &mut Bus, board: &Board, stop: &AtomicBool) -> anyhow::Result<()>
 struct Shared {
     newest: Newest,
     stop: Arc<AtomicBool>,
-    /// The teller's orders.
+    /// Set by the teller.
     parked: AtomicBool,
     clear: AtomicBool,
     /// Time from one frame to the next.
@@ -193,14 +192,14 @@ impl Shared {
     }
 }
 
-/// Takes frames for ever, on a thread that nobody waits for: a camera may not answer.
+/// Takes frames without end, on a thread that nothing waits for, because a camera may not answer.
 fn take_frames(mut source: Box<dyn FrameSource>, shared: Arc<Shared>) {
     std::thread::spawn(move || {
         let all = AssertUnwindSafe(|| all_frames(source.as_mut(), &shared));
         let ended = catch_unwind(all).unwrap_or_else(|_| {
             Err(SourceError::Camera {
                 device: "camera".to_owned(),
-                why: "ended by an internal error".to_owned(),
+                why: "ended with an internal error".to_owned(),
             })
         });
         shared.newest.end(ended);
@@ -214,8 +213,8 @@ fn all_frames(source: &mut dyn FrameSource, shared: &Shared) -> Result<(), Sourc
         if !live {
             std::thread::sleep(frame.captured_at.saturating_sub(shared.began.elapsed()));
         }
-        // Later than the frame before, also when this thread was held up between two looks at the clock: a camera whose
-        // frames are not in order says so by their numbers.
+        // The time is later than that of the frame before, also when this thread was delayed between two readings of
+        // the clock. (A camera whose frames are out of order is recognised by their numbers.)
         let taken = shared.began.elapsed().saturating_sub(source.waited());
         last = taken.max(last + Duration::from_nanos(1));
         frame.captured_at = last;
@@ -230,13 +229,14 @@ struct Judge {
     judging: Judging,
     words: Sender<Word>,
     recorder: Option<EventRecorder>,
-    /// A camera gives no more frames than are asked for, and each is judged as soon as it is there.
+    /// The source is a camera: it gives no more frames than are asked for, and each frame is judged as soon as it is
+    /// there.
     live: bool,
     shared: Arc<Shared>,
 }
 
 impl Judge {
-    /// Judges until there are no more frames or the monitor stops; gives what evidence was kept.
+    /// Judges until there are no more frames or the monitor stops; returns how much evidence was kept.
     fn spawn(mut self) -> anyhow::Result<Receiver<anyhow::Result<Option<EventCounts>>>> {
         let (says_how, ended) = channel();
         let thread = std::thread::Builder::new().name("judge".to_owned());
@@ -245,17 +245,17 @@ impl Judge {
             let Self {
                 recorder, words, ..
             } = self;
-            // The bus hears the end before evidence is written to its own.
+            // The bus receives the end before the rest of the evidence is written.
             drop(words);
             let kept = recorder.map(EventRecorder::finish);
-            // Nobody hears it when the end did not wait.
+            // There is no receiver if the program's end did not wait.
             let _ = says_how.send(judged.map(|()| kept));
         });
         judge.context("no thread for the judge of frames")?;
         Ok(ended)
     }
 
-    /// Judges the newest frame, again and again; of a source that is not live it rests from one to the next.
+    /// Judges the newest frame, again and again. If the source is not live, it rests between frames.
     fn run(&mut self) -> anyhow::Result<()> {
         let shared = Arc::clone(&self.shared);
         let mut next = Duration::ZERO;
@@ -278,7 +278,7 @@ impl Judge {
                         recorder.offer(frame, &verdict, || self.sight.look());
                     }
                     if !self.live {
-                        // Slept in advance of the next frame, which is then the newest.
+                        // Sleep before the next frame, which is then the newest.
                         let (now, period) = (shared.began.elapsed(), self.judging.period());
                         next = (next + period).max(now);
                         std::thread::sleep((next - now).min(JUDGE_WAITS.max(period)));
@@ -301,13 +301,13 @@ impl Judge {
     }
 
     fn say(&self, word: Word) {
-        // Nobody listens any more when the monitor is about to end.
+        // There is no receiver any more when the monitor is about to end.
         let _ = self.words.send(word);
     }
 }
 
-/// Keeps the cycle of the bus until the end of the frames, a signal or the limit; then says the last word, and completes what
-/// was written.
+/// Keeps the cycle of the bus until the end of the frames, a signal or the limit. Then it sends the last message, and
+/// completes the files.
 fn tell_all(
     mut teller: Teller,
     words: &Receiver<Word>,
@@ -331,7 +331,7 @@ fn tell_all(
         service::say(teller.service(now, rounds));
         told = orders.map(|orders| shared.order(orders));
     }
-    // Also when telling failed, so that the judge ends.
+    // Set also after an error, so that the judge ends.
     shared.stop.store(true, Ordering::Relaxed);
     service::stopping();
     let stopped_at = began.elapsed();
@@ -345,18 +345,18 @@ fn tell_all(
     for trouble in troubles.chain(teller.finish()) {
         match trouble {
             OutputError::Bus(_) if of_bus.is_none() => of_bus = Some(trouble),
-            // A journal that is not whole has cost no warning.
+            // A journal that is not complete has not suppressed any warning.
             trouble => log::error!("{:#}", anyhow::Error::from(trouble)),
         }
     }
     of_bus.map_or(Ok(()), |trouble| Err(trouble.into()))
 }
 
-/// Shows people what is told.
+/// Shows on the terminal what is reported.
 fn show(said: &Said<'_>, terminal: &mut Live, out: &mut dyn Write) {
     if said.is_change {
         let line = state_line(said.verdict);
-        // The bus must hear what a terminal does not take.
+        // The bus must receive messages also when the terminal accepts none.
         let _ = terminal.above(|| {
             writeln!(out, "{line}")?;
             out.flush()

@@ -15,7 +15,7 @@ pub struct NewFolder {
 }
 
 impl NewFolder {
-    /// Begins the folder `target`, which must not exist or be empty.
+    /// Begins the folder `target`, which must be new or empty.
     pub fn beside(target: &Path) -> anyhow::Result<Self> {
         let empty =
             |target: &Path| fs::read_dir(target).is_ok_and(|mut entries| entries.next().is_none());
@@ -33,12 +33,12 @@ impl NewFolder {
         Ok(Self { folder, target })
     }
 
-    /// Where its files are written.
+    /// The folder into which its files are written.
     pub fn path(&self) -> &Path {
         self.folder.path()
     }
 
-    /// Puts the folder in its place; it is on the disk, with all that it holds, when this returns.
+    /// Puts the folder in its place. When this returns, the folder is on the disk with everything in it.
     pub fn keep(self) -> anyhow::Result<()> {
         sync_contents(self.path())
             .and_then(|()| put_in_place(self.path(), &self.target))

@@ -1,4 +1,5 @@
-//! `gapwatch package-files`: what a package holds beside the program, made of the command line itself.
+//! `gapwatch package-files`: man pages and shell completions for a package, made from the definition of the command
+//! line.
 
 use std::fs;
 use std::io::Write;
@@ -10,7 +11,7 @@ use gapwatch::files::durable::sync_contents;
 
 use crate::cli::args::{Cli, PackageFilesArgs};
 
-/// As Debian's shells look for them.
+/// Paths where the shells of Debian look for them.
 const COMPLETIONS: [(Shell, &str); 3] = [
     (Shell::Bash, "bash-completion/completions/gapwatch"),
     (Shell::Zsh, "zsh/vendor-completions/_gapwatch"),

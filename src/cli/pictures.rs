@@ -7,7 +7,7 @@ use anyhow::Context;
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{ExtendedColorType, ImageEncoder};
 
-/// Writes pixels as a PNG file, fast rather than small.
+/// Writes pixels as a PNG file; speed matters more than size.
 pub fn write_png(
     path: &Path,
     pixels: &[u8],

@@ -1,8 +1,9 @@
-//! Progress bars on standard error, where it is a terminal.
+//! Progress bars on standard error, if it is a terminal.
 
 use indicatif::{ProgressBar, ProgressStyle};
 
-/// A bar over frames; without a known count it only counts. Invisible where standard error is no terminal.
+/// A bar over frames; if their number is not known, it only counts. It is invisible if standard error is not a
+/// terminal.
 pub fn frames(count: Option<u64>, what: &str) -> ProgressBar {
     over(count, what, "frames")
 }

@@ -7,7 +7,7 @@ use gapwatch::reference::{Provenance, Reference};
 
 use super::loaded_model::LoadedModel;
 
-/// Of two short drives, enough to have something to compare with.
+/// Makes a reference from two short drives, which is enough to have something to compare with.
 pub fn made_for(model: &LoadedModel) -> anyhow::Result<Reference> {
     let drives = ["scene:sim?seed=1&seconds=3", "scene:sim?seed=2&seconds=3"].map(str::to_owned);
     let surveys = model.survey(&drives, Keep::Maps, "making a reference")?;

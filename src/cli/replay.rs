@@ -26,14 +26,14 @@ use crate::cli::args::{ReplayArgs, Speed};
 
 /// How soon a wait for the next frame ends after a signal.
 const STOPS_WITHIN: Duration = Duration::from_millis(50);
-/// With `--check`: a judging state for at least this share of the time after `Init`, or "could not judge".
+/// With `--check`: if a smaller share of the time after `Init` was judged, the result is "could not judge".
 const JUDGED_MIN: f64 = 0.9;
 /// Exit codes of `--check`.
 const FOUND_NO_GAP: u8 = 0;
 const FOUND_GAP: u8 = 1;
 const COULD_NOT_JUDGE: u8 = 3;
 
-/// What came of the drive, by its time.
+/// The result of the drive, by time in each state.
 #[derive(Default)]
 struct Summary {
     frames: u64,
@@ -77,7 +77,7 @@ pub fn run(args: &ReplayArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
     };
     let sink = args.can.open(&settings)?;
     let bus = Bus::new(sink, settings, &reference)?;
-    // With the CAN log on standard output, the lines for people go where they do not mix with it.
+    // If the CAN log goes to standard output, the readable lines go to standard error, so that they do not mix.
     let (mut aside, mut nowhere) = (std::io::stderr(), std::io::sink());
     let out: &mut dyn Write = match args.can {
         _ if args.quiet => &mut nowhere,
@@ -103,7 +103,7 @@ pub fn run(args: &ReplayArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
         &stop,
         out,
     );
-    // What was told up to here is kept, however it ended.
+    // What was reported up to this point is kept, whatever ended the drive.
     let Told {
         outputs,
         live,
@@ -118,14 +118,14 @@ pub fn run(args: &ReplayArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
     kept.map_or(Ok(()), |kept| evidence_line(kept, out))?;
     if stop.load(Ordering::Relaxed) {
         bail!(
-            "{source_name}: stopped by a signal after {} frames; what was to be written is whole up to there",
+            "{source_name}: stopped by a signal after {} frames; the files are complete up to that frame",
             summary.frames
         );
     }
     Ok(if args.check { summary.found() } else { 0 })
 }
 
-/// In a replay the trouble of any output ends the run.
+/// In a replay, an error of any output ends the run.
 fn first(troubles: Vec<OutputError>) -> anyhow::Result<()> {
     troubles
         .into_iter()
@@ -133,7 +133,7 @@ fn first(troubles: Vec<OutputError>) -> anyhow::Result<()> {
         .map_or(Ok(()), |trouble| Err(trouble.into()))
 }
 
-/// Every output has a file of its own.
+/// Checks that every output has a file of its own.
 fn check_outputs(args: &ReplayArgs) -> anyhow::Result<()> {
     let log = match &args.can {
         Sink::LogFile(log) => Some(log),
@@ -153,14 +153,14 @@ fn check_outputs(args: &ReplayArgs) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Waits until so much time has passed since `began`, or `stop` is set.
+/// Waits until the time `at` after `began`, or until `stop` is set.
 fn wait_until(at: Duration, began: Instant, stop: &AtomicBool) {
     while began.elapsed() < at && !stop.load(Ordering::Relaxed) {
         std::thread::sleep((at - began.elapsed().min(at)).min(STOPS_WITHIN));
     }
 }
 
-/// Everybody who hears of a verdict.
+/// All receivers of verdicts.
 struct Told {
     outputs: Outputs,
     live: Live,
@@ -168,7 +168,7 @@ struct Told {
 }
 
 impl Told {
-    /// Tells of every frame, until there are no more or `stop` is set.
+    /// Judges and reports every frame, until there are no more frames or `stop` is set.
     fn drive(
         &mut self,
         source: &mut dyn FrameSource,
@@ -209,7 +209,7 @@ impl Told {
         Ok(())
     }
 
-    /// Tells bus, journal and recording, and people when the state has changed.
+    /// Reports to bus, journal and recording, and to the terminal if the state has changed.
     fn tell(
         &mut self,
         verdict: &Verdict,
@@ -230,7 +230,7 @@ impl Told {
 }
 
 impl Summary {
-    /// Counts a verdict; gives the state before it.
+    /// Counts a verdict; returns the state before it.
     fn add(&mut self, verdict: &Verdict) -> Option<AlarmState> {
         self.frames += u64::from(verdict.sequence.is_some());
         self.not_judged += u64::from(verdict.sequence.is_some() && verdict.score.is_none());
@@ -262,7 +262,7 @@ impl Summary {
             "{}, {total_s:.1} s of drive in {took_s:.1} s",
             frames(self.frames)
         )?;
-        // One frame has no length: there is no share of time to tell.
+        // A drive of one frame has no length, so there is no share of time to report.
         if total_s > 0.0 {
             let shares = self.time_in.iter().map(|(name, time)| {
                 format!("{name} {:.1} %", 100.0 * time.as_secs_f64() / total_s)

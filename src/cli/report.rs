@@ -14,7 +14,7 @@ pub fn run(args: &ReportArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
         && journal == page
     {
         bail!(
-            "{}: wanted another file for the report than the journal",
+            "{}: is the journal; wanted another file for the report",
             args.out.display()
         );
     }

@@ -46,7 +46,9 @@ pub fn run(args: &SceneArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
         bail!("wanted --out DIR");
     };
     if let Some(timed) = args.condition.iter().find(|c| c.span_s.is_some()) {
-        bail!("condition {timed}: a scene is one moment; wanted KIND:SEVERITY without @FROM-TO");
+        bail!(
+            "condition {timed}: a scene is a single moment; wanted KIND:SEVERITY without @FROM-TO"
+        );
     }
     let folder = NewFolder::beside(target)?;
     for part in ["frames", "masks"] {

@@ -1,4 +1,4 @@
-//! Says to the service manager what is due; without one this does nothing.
+//! Notifies the service manager; without a service manager this does nothing.
 
 use gapwatch::live::service::ServiceWords;
 use sd_notify::{NotifyState, notify};
@@ -14,7 +14,7 @@ pub fn say(words: ServiceWords) {
     tell(&states);
 }
 
-/// What is told to people who ask how the service is.
+/// Sets the status text of the service.
 pub fn status(line: &str) {
     tell(&[NotifyState::Status(line)]);
 }
@@ -28,6 +28,6 @@ fn tell(states: &[NotifyState<'_>]) {
         return;
     }
     if let Err(error) = notify(states) {
-        log::debug!("the service manager does not hear: {error}");
+        log::debug!("the service manager cannot be notified: {error}");
     }
 }

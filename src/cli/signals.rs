@@ -1,4 +1,4 @@
-//! SIGINT, SIGTERM and SIGHUP: the first one asks for an end in order, the second one ends the program at once.
+//! SIGINT, SIGTERM and SIGHUP: the first signal asks the program to end cleanly, the second one ends it at once.
 
 use std::fs;
 use std::sync::Arc;
@@ -12,7 +12,7 @@ use signal_hook::flag;
 pub fn stop() -> anyhow::Result<Arc<AtomicBool>> {
     let stop = Arc::new(AtomicBool::new(false));
     for signal in [SIGTERM, SIGINT, SIGHUP] {
-        // `nohup` asks for a program that outlives its terminal.
+        // With `nohup`, the program must continue after its terminal is closed.
         if signal == SIGHUP && is_ignored(signal) {
             continue;
         }

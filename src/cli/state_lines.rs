@@ -1,4 +1,4 @@
-//! Lines for people that `monitor` and `replay` have in common.
+//! Readable lines that `monitor` and `replay` have in common.
 
 use std::io::Write;
 
@@ -6,7 +6,7 @@ use gapwatch::monitor::alarm::AlarmState;
 use gapwatch::monitor::judge::Verdict;
 use gapwatch::record::events::EventCounts;
 
-/// One line for people about a change of state.
+/// One readable line about a change of state.
 pub fn state_line(verdict: &Verdict) -> String {
     let mut line = format!(
         "{:8.1} s  {:<11}",
@@ -17,7 +17,7 @@ pub fn state_line(verdict: &Verdict) -> String {
         (_, Some(why), _) => line += &format!("  {}: {why}", verdict.reason.name()),
         (AlarmState::Init, _, _) => line += "  starting",
         (_, None, Some(score)) => {
-            // No minus sign before a score that rounds to nothing.
+            // No minus sign before a score that rounds to zero.
             let hundredths = (100.0 * score).round() + 0.0;
             line += &format!("  score {:.2}", hundredths / 100.0);
         }
@@ -26,7 +26,7 @@ pub fn state_line(verdict: &Verdict) -> String {
     line
 }
 
-/// One line for people about the evidence of a run.
+/// One readable line about the evidence of a run.
 pub fn evidence_line(kept: EventCounts, out: &mut dyn Write) -> std::io::Result<()> {
     write!(out, "evidence: {} events written", kept.events)?;
     for (count, what) in [

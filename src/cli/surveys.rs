@@ -9,7 +9,8 @@ use super::loaded_model::LoadedModel;
 use super::progress;
 
 impl LoadedModel {
-    /// Looks at whole sources, several at a time; a source that cannot be opened fails before any is looked at.
+    /// Looks at whole sources, several at a time. A source that cannot be opened is an error before any source is
+    /// looked at.
     pub fn survey(
         &self,
         sources: &[String],
@@ -24,7 +25,7 @@ impl LoadedModel {
         let most = keep.frames_max();
         if let Some(count) = count.filter(|&count| count > most) {
             bail!(
-                "{count} frames in all; wanted at most {most}: take fewer or shorter drives, or a lower fps"
+                "{count} frames in total; wanted at most {most}: use fewer or shorter drives, or a lower fps"
             );
         }
         let bar = progress::frames(count, what);

@@ -1,4 +1,4 @@
-//! Commands of the desk, as typed.
+//! The commands that are not in the car's program.
 
 use std::path::PathBuf;
 use std::str::FromStr;
@@ -10,21 +10,23 @@ use gapwatch::lab::scene::{Condition, Element, Look};
 use gapwatch::model::encoder::Executor;
 use gapwatch::reference::gap::Metric;
 
-use super::{ModelArgs, SOURCES, TableFormat, whole};
+use super::model::ModelArgs;
+use super::values::{SOURCES, TableFormat, whole};
 
-/// Compare image sets: the first is the reference for the others
+/// Compare image sets with the first one
 #[derive(Debug, Args)]
-#[command(after_help = format!("{SOURCES}\n\nThe metrics paper and ...-pearson are correlations (1 = alike), the others \
-    distances (0 = alike): chi2, js (bits), hellinger and w1 on attention or log-energy histograms; frechet and mahalanobis on \
-    channels. frechet needs twice as many images as channels.\n\nExample:\n  gapwatch compare town01 town05 highway 'random:' --metric all --format csv"))]
+#[command(after_help = format!("{SOURCES}\n\nThe metrics paper and ...-pearson are correlations (1 = equal). The others \
+    are distances (0 = equal): chi2, js (bits), hellinger and w1 on\nattention or log-energy histograms, frechet and mahalanobis \
+    on channels. frechet needs twice as many images as channels.\n\nExample:\n  gapwatch compare town01 town05 highway 'random:' --metric all --format csv"))]
 pub struct CompareArgs {
     /// The reference, then the sets to compare with it
     #[arg(value_name = "SOURCE", required = true, num_args = 2..)]
     pub sources: Vec<String>,
-    /// Metric, or all
+    /// Metric, or all of them
     #[arg(long, value_name = "NAME|all", default_value = "all", value_parser = metrics)]
     pub metric: Metrics,
-    /// Temperature of the metric paper: energy units, or times the reference's median peak energy as in 0.2peak
+    /// Temperature of the metric paper: in units of energy, or as a multiple of the reference's median peak energy
+    /// (0.2peak)
     #[arg(long, value_name = "T", default_value = "10", value_parser = temperature)]
     pub temperature: Temperature,
     /// Levels of the metric paper's histogram
@@ -35,15 +37,15 @@ pub struct CompareArgs {
     pub first_level: usize,
     #[command(flatten)]
     pub model: ModelArgs,
-    /// How the result is written
+    /// Format of the result
     #[arg(long, value_enum, default_value = "table")]
     pub format: Format,
-    /// Also write every histogram to this file, JSON
+    /// Also write every histogram to this JSON file
     #[arg(long, value_name = "FILE")]
     pub histograms: Option<PathBuf>,
 }
 
-/// How a table is written.
+/// Format of a table.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Format {
     Table,
@@ -51,99 +53,103 @@ pub enum Format {
     Csv,
 }
 
-/// The metrics asked for.
+/// The metrics that were asked for.
 #[derive(Clone, Debug)]
 pub struct Metrics(pub Vec<Metric>);
 
 /// Show where the encoder looks, frame by frame
 ///
-/// DIR gets one sheet a frame, NNNNNN.png: what the model sees with the lanes it marks in blue-green, then the energies
-/// of each tap over the darkened picture, brighter is more, each from 0 to its own peak; below them the picture as it is, and
-/// for each tap which of 4x4 regions differ from the reference, brighter is farther, eight nominal spreads are brightest; and
-/// how far each channel is from nominal, over a band of two spreads. With a reference of histograms, instead of these: the
-/// live histogram in orange, the reference in blue-green, a white line under the bins that are counted, the others grey.
-/// inspect.json has the numbers, each frame judged by itself.
+/// DIR gets one sheet for each frame, NNNNNN.png. The sheet shows what the model sees, with the lanes that it marks in
+/// blue-green. Beside it are the energies of each tap over the darkened picture: brighter is more, from 0 to the peak
+/// of that tap. Below them is the picture as it is, and for each tap the 4x4 regions that differ from the reference:
+/// brighter is farther, and eight nominal spreads are brightest. Then follows how far each channel is from nominal,
+/// over a band of two spreads. With a reference of histograms, the histograms are shown instead of these: the live one
+/// in orange, the reference in blue-green, with a white line under the bins that are counted; the other bins are grey.
+/// inspect.json has the numbers. Each frame is judged alone.
 #[derive(Debug, Args)]
 #[command(after_help = format!("{SOURCES}\n\nExample:\n  gapwatch inspect drive.mp4 --out sheets --count 6"))]
 pub struct InspectArgs {
-    /// What to look at
+    /// Source of the frames
     pub source: String,
-    /// Folder to write; must not exist or be empty
+    /// Folder to write; it must be new or empty
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
-    /// How many frames, evenly spread over the source
+    /// Number of frames, evenly spread over the source
     #[arg(long, value_name = "N", default_value_t = 12, value_parser = whole::<u32>(1..=100_000))]
     pub count: u32,
-    /// Reference to compare with; left out = the one inside the program, if it fits the model
+    /// Reference to compare with (default: the one inside the program, if it fits the model)
     #[arg(long, value_name = "FILE")]
     pub reference: Option<PathBuf>,
     #[command(flatten)]
     pub model: ModelArgs,
 }
 
-/// Judge lane models and the monitor on scenes and drives that nothing was tuned on
+/// Measure lane models and the monitor on scenes and drives that were not used for tuning
 ///
-/// lane_iou: lane IoU of every model in every look of the world, in plain day and under every condition at severities 1 to
-/// 5, and how much of the encoder's energy lies on lanes; each model is asked at its own size. domain_detection: how many
-/// drives enter Gap within 2 s of an event, at 1 and 0.1 false alarms an hour. false_alarms: entries into Gap on nominal
-/// drives, at thresholds made for 10, 1 and 0.1 an hour. These two judge one reference. field_sets: AUROC and recall at 5 %
-/// false positives of every metric on windows of 1, 5 and 10 images of other roads and simulators. paper_table: similarity
-/// of image sets as wholes, as in the paper. With --out, each key is kept as soon as it is done.
+/// lane_iou: lane IoU of every model in every look of the world, on plain days and under every condition with
+/// severities 1 to 5, and how much of the encoder's energy is on lanes. Each model gets scenes of its own input size.
+/// domain_detection: how many drives enter Gap within 2 s of an event, at 1 and 0.1 false alarms an hour. false_alarms:
+/// entries into Gap on nominal drives, at thresholds made for 10, 1 and 0.1 false alarms an hour. These two judge one
+/// reference. field_sets: AUROC, and recall at 5 % false positives, of every metric on windows of 1, 5 and 10 images of
+/// other roads and simulators. paper_table: similarity of whole image sets, as in the paper. With --out, the result of
+/// each key is kept as soon as it is done.
 #[derive(Debug, Args)]
 #[command(
     after_help = "Example:\n  gapwatch evaluate --only field_sets --field sets --out results.json\n  gapwatch evaluate --from results.json --format markdown > RESULTS.md"
 )]
 pub struct EvaluateArgs {
-    /// ONNX files, each with a .toml of the same name beside it that names its lane output; left out = the built-in model
+    /// ONNX files, each with a .toml file of the same name beside it that names its lane output (default: the built-in
+    /// model)
     #[arg(long, value_name = "FILE.onnx", num_args = 1..)]
     pub model: Vec<PathBuf>,
-    /// What to evaluate; left out = everything
+    /// What to evaluate (default: everything)
     #[arg(long, value_enum, value_name = "KEY")]
     pub only: Option<EvaluateKey>,
-    /// Few scenes and drives: seconds instead of minutes, with wide intervals
+    /// Use few scenes and drives: it takes seconds instead of minutes, and the intervals are wide
     #[arg(long)]
     pub quick: bool,
-    /// Reference to judge; left out = the one inside the program
+    /// Reference to judge (default: the one inside the program)
     #[arg(long, value_name = "FILE")]
     pub reference: Option<PathBuf>,
-    /// The look that is nominal to that reference
+    /// The look that is nominal for this reference
     #[arg(long, value_name = "NAME", default_value_t = Look::Sim)]
     pub look: Look,
-    /// Drives an event
+    /// Number of drives for each event
     #[arg(long, value_name = "N", conflicts_with = "quick", value_parser = whole::<u32>(1..=10_000))]
     pub drives: Option<u32>,
     /// Hours of nominal drives
     #[arg(long, value_name = "HOURS", conflicts_with = "quick", value_parser = whole::<u32>(1..=10_000))]
     pub hours: Option<u32>,
-    /// Scenes a look, condition and severity
+    /// Number of scenes for each look, condition and severity
     #[arg(long, value_name = "N", conflicts_with = "quick", value_parser = whole::<u32>(1..=100_000))]
     pub scenes: Option<u32>,
     /// Folder of image sets for field_sets and paper_table; calibration/README.md lists what it holds
     #[arg(long, value_name = "DIR")]
     pub field: Option<PathBuf>,
-    /// How the result is written
+    /// Format of the result
     #[arg(long, value_enum, default_value = "table")]
     pub format: ResultsFormat,
-    /// File that gets the result as JSON too; of a file that is there, only what is evaluated is replaced
+    /// Also write the result to this JSON file; in a file that exists, only what is evaluated is replaced
     #[arg(long, value_name = "FILE")]
     pub out: Option<PathBuf>,
-    /// Of speed_error, name the point that misses least at this share of one core of the machine that measured, percent
+    /// For speed_error: name the point that misses least within this share of one core of the measuring machine,
+    /// percent
     #[arg(long, value_name = "PERCENT", value_parser = percent)]
     pub budget: Option<f64>,
-    /// Draw speed_error as an SVG picture too
+    /// Also draw speed_error as an SVG picture
     #[arg(long, value_name = "FILE.svg")]
     pub plot: Option<PathBuf>,
-    /// Show the results in these files instead of evaluating
+    /// Show the results of these files, and evaluate nothing
     #[arg(long, value_name = "FILE", num_args = 1.., conflicts_with_all = ["model", "quick", "reference", "drives", "hours", "scenes", "field", "out"])]
     pub from: Vec<PathBuf>,
 }
 
-/// How results are written.
+/// Format of results.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum ResultsFormat {
     Table,
     Json,
-    /// One table alone: lane_iou
+    /// Only the table lane_iou
     Csv,
     Markdown,
 }
@@ -154,7 +160,7 @@ pub enum EvaluateKey {
     /// Lane IoU over looks, conditions and severities
     #[value(name = "lane_iou")]
     LaneIou,
-    /// How soon events that leave the domain are entered as Gap
+    /// How soon the monitor enters Gap after an event that leaves the domain
     #[value(name = "domain_detection")]
     DomainDetection,
     /// Entries into Gap on nominal drives
@@ -163,19 +169,19 @@ pub enum EvaluateKey {
     /// Whether the gap predicts that the lane model fails, by metric and baseline
     #[value(name = "lane_failure")]
     LaneFailure,
-    /// Cost of a judged second against what is missed, by model, taps, window and frame rate
+    /// Cost of a judged second and share of missed events, by model, taps, window and frame rate
     #[value(name = "speed_error")]
     SpeedError,
-    /// How well each metric tells other roads' image sets from a simulation's; needs --field
+    /// How well each metric distinguishes image sets of other roads from those of a simulation; needs --field
     #[value(name = "field_sets")]
     FieldSets,
-    /// Similarity of adapted simulation, plain simulation and noise with real images, and with simulation, as in the paper
+    /// Similarity of adapted simulation, plain simulation and noise to real images and to simulation, as in the paper
     #[value(name = "paper_table")]
     PaperTable,
 }
 
 impl EvaluateKey {
-    /// As it is typed and written.
+    /// The name on the command line and in results.
     pub fn name(self) -> String {
         let value = self.to_possible_value();
         value.map_or_else(String::new, |value| value.get_name().to_owned())
@@ -184,16 +190,17 @@ impl EvaluateKey {
 
 /// Show a journal as one HTML file
 ///
-/// Timeline, alarms with what is behind them, gaps by tap, what was judged and what not. The file needs no network.
+/// The file shows a timeline, the alarms with their causes, the gaps by tap, and what was judged and what was not. It
+/// needs no network.
 #[derive(Debug, Args)]
 #[command(
     after_help = "Example:\n  gapwatch replay --journal drive.jsonl --evidence seen\n  gapwatch report drive.jsonl --evidence seen --out drive.html"
 )]
 pub struct ReportArgs {
-    /// Journal, as replay --journal writes it
+    /// Journal, written with --journal
     #[arg(value_name = "JOURNAL")]
     pub journal: PathBuf,
-    /// Folder of replay --evidence: its pictures are shown beside the alarms
+    /// Folder written with --evidence; its pictures are shown beside the alarms
     #[arg(long, value_name = "DIR")]
     pub evidence: Option<PathBuf>,
     /// HTML file to write
@@ -203,7 +210,8 @@ pub struct ReportArgs {
 
 /// Measure time, memory and allocations from picture to CAN frame
 ///
-/// A short rendered drive passes stage by stage, with everything rendered and loaded beforehand; about 10 s.
+/// Runs a short rendered drive through every stage. The drive is rendered and the model is loaded before. It takes
+/// about 10 s.
 #[derive(Debug, Args)]
 #[command(
     after_help = "Example:\n  gapwatch bench --model lane.onnx --frame 1920x1080 --format json"
@@ -211,10 +219,10 @@ pub struct ReportArgs {
 pub struct BenchArgs {
     #[command(flatten)]
     pub model: ModelArgs,
-    /// How the result is written
+    /// Format of the result
     #[arg(long, value_enum, default_value = "table")]
     pub format: TableFormat,
-    /// Chains that run at the same time, one thread each
+    /// Number of chains that run at the same time, each on its own thread
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = threads)]
     pub threads: usize,
     /// Size of the camera's pictures, pixels
@@ -223,10 +231,10 @@ pub struct BenchArgs {
     /// Format of the camera's pixels
     #[arg(long, value_enum, default_value = "yuyv")]
     pub pixels: PixelChoice,
-    /// Who runs the encoder: the fastest that can, or tract, to compare with
+    /// What runs the encoder: the fastest executor that can, or tract for comparison
     #[arg(long, value_enum, default_value = "fastest")]
     pub executor: ExecutorChoice,
-    /// Also measure what the evidence recorder costs the frame loop, at 25 frames a second: a minute more
+    /// Also measure what the evidence recorder costs the frame loop, at 25 frames a second; this takes one more minute
     #[arg(long)]
     pub evidence: bool,
 }
@@ -261,32 +269,32 @@ impl std::fmt::Display for PixelChoice {
 
 /// Render labelled scenes of the road simulator
 ///
-/// Each scene is one moment of a drive of its own. DIR gets frames/NNNNNN.png (RGB), masks/NNNNNN.png (255 on a lane
-/// line) and scenes.jsonl (seed, time, world, conditions and SHA-256 of the pixels of each).
+/// Each scene is one moment of another drive. DIR gets frames/NNNNNN.png (RGB), masks/NNNNNN.png (255 on a lane line)
+/// and scenes.jsonl (seed, time, world, conditions and SHA-256 of the pixels of each).
 #[derive(Debug, Args)]
 #[command(
     after_help = "Example:\n  gapwatch scene --out scenes --count 100 --seed 7 --condition fog:3"
 )]
 pub struct SceneArgs {
-    /// Folder to write; must not exist or be empty
+    /// Folder to write; it must be new or empty
     #[arg(long, value_name = "DIR", required_unless_present = "list")]
     pub out: Option<PathBuf>,
-    /// Print the names that can be used instead of rendering
+    /// Print the names that can be used, and render nothing
     #[arg(long, value_enum, exclusive = true, value_name = "WHAT")]
     pub list: Option<SceneList>,
-    /// How the world looks
+    /// Look of the world
     #[arg(long, value_name = "NAME", default_value_t = Look::Sim)]
     pub look: Look,
-    /// Element left out of the world; may be repeated
+    /// Element to leave out of the world; may be repeated
     #[arg(long, value_name = "ELEMENT")]
     pub without: Vec<Element>,
-    /// How many scenes
+    /// Number of scenes
     #[arg(long, value_name = "N", default_value_t = 10, value_parser = whole::<u32>(1..=1_000_000))]
     pub count: u32,
     /// Seed of the set
     #[arg(long, value_name = "S", default_value_t = 1, value_parser = whole::<u32>(0..=u32::MAX - 1))]
     pub seed: u32,
-    /// Condition over all scenes, KIND:SEVERITY; may be repeated
+    /// Condition of all scenes, KIND:SEVERITY; may be repeated
     #[arg(long, value_name = "KIND:SEVERITY")]
     pub condition: Vec<Condition>,
     /// Size of the pictures, pixels
@@ -305,7 +313,7 @@ pub enum SceneList {
     Conditions,
 }
 
-/// A picture's size as typed, `WxH`.
+/// A picture's size, `WxH`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PictureSize {
     pub width: u32,
@@ -330,7 +338,7 @@ impl FromStr for PictureSize {
     }
 }
 
-/// Who runs the encoder.
+/// What runs the encoder.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum ExecutorChoice {
     Fastest,

@@ -1,4 +1,5 @@
-//! What the evidence recorder costs the frame loop: the same drive, block by block with and without it, in real time.
+//! What the evidence recorder costs the frame loop: the same drive in real time, in blocks with and without the
+//! recorder.
 
 use std::ops::Range;
 use std::time::{Duration, Instant};
@@ -14,9 +15,9 @@ use serde::Serialize;
 use crate::cli::args::BenchArgs;
 use crate::cli::loaded_model::LoadedModel;
 
-/// Blocks, every second one with the recorder.
+/// Number of blocks; every second block has the recorder.
 const BLOCKS: u32 = 8;
-/// Frames of a block, 8 s, and those of them in fog, 3 s: an alarm a block, which ends in it.
+/// Frames of a block (8 s) and its frames in fog (3 s): each block has one alarm, which ends within the block.
 const BLOCK_FRAMES: u32 = 200;
 const FOG: Range<u32> = 25..100;
 /// Time between frames.
@@ -31,13 +32,13 @@ pub struct EvidenceCost {
     off_p99_ms: f64,
     on_median_ms: f64,
     on_p99_ms: f64,
-    /// Events written, and frames that the writer had no time for.
+    /// Events that were written, and frames for which the writer had no time.
     events: u64,
     dropped_frames: u64,
 }
 
 impl EvidenceCost {
-    /// For people.
+    /// The result as one readable line.
     pub fn line(&self) -> String {
         let more = |on: f64, off: f64| 100.0 * (on / off - 1.0);
         format!(

@@ -1,10 +1,10 @@
-//! Drives with lane labels, which are rendered: what the lane model loses in them is learnt.
+//! Rendered drives with lane labels, from which it is learnt what the lane model loses.
 
 use gapwatch::calibration::LabelledMeans;
 use gapwatch::model::encoder::Encoder;
 use gapwatch::model::preprocess::Preprocessing;
 
-/// Frames of a drive.
+/// Number of frames of a drive.
 pub fn frame_count(name: &str) -> anyhow::Result<u64> {
     #[cfg(feature = "lab")]
     let count = spec(name)?.frames();
@@ -21,7 +21,7 @@ pub fn frames(
     preprocessing: &Preprocessing,
 ) -> anyhow::Result<Vec<LabelledMeans>> {
     let drive = spec(name)?;
-    // By its seed, not its place: the drive is the same in any shard. Only its rest by 5 counts.
+    // The number is the seed and not the position, so that it is the same in any shard. Only the seed modulo 5 matters.
     let number = usize::try_from(drive.seed % 5)?;
     let frames = gapwatch::lab::labelled::frames_of(&drive, number, encoder, preprocessing)?;
     Ok(frames.into_iter().map(|(_, frame)| frame).collect())
@@ -42,7 +42,7 @@ fn spec(name: &str) -> anyhow::Result<gapwatch::lab::scene::DriveSpec> {
     let spec: gapwatch::lab::scene::DriveSpec = spec.parse()?;
     if !spec.conditions.is_empty() {
         anyhow::bail!(
-            "--labelled {name}: has a condition; wanted a plain drive, conditions are added"
+            "--labelled {name}: has a condition; wanted a plain drive, to which conditions are added"
         );
     }
     Ok(spec)

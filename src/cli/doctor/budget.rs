@@ -1,4 +1,4 @@
-//! What a frame costs here, against what the board allows.
+//! What a frame costs on this computer, and what the board file allows.
 
 use std::time::Duration;
 
@@ -23,7 +23,7 @@ pub fn check(
     let mut checks = Vec::new();
     match judged(model, reference, taken) {
         Err(error) => {
-            let remedy = "see what the model needs: gapwatch bench --model FILE";
+            let remedy = "measure what the model needs: gapwatch bench --model FILE";
             return vec![Check::fail("budget", format!("{error:#}"), remedy)];
         }
         Ok((judged, None)) => checks.push(Check::pass(
@@ -31,11 +31,10 @@ pub fn check(
             format!("{judged} of {} frames can be judged", taken.frames.len()),
         )),
         Ok((_, Some(why))) => {
-            let remedy =
-                "see that the lens is free and lit, and that the board names the right camera";
+            let remedy = "check that nothing covers the lens, that there is light, and that the board file names the right camera";
             return vec![
                 Check::fail("picture", why, remedy),
-                Check::left_out("budget", "no frame that can be judged"),
+                Check::left_out("budget", "no frame can be judged"),
             ];
         }
     }
@@ -44,7 +43,8 @@ pub fn check(
     checks
 }
 
-/// How many frames can be judged, and what is wrong with the last or with most of them: a camera needs a moment to see.
+/// How many frames can be judged, and what is wrong with the last one or with most of them. (The first frames of a
+/// camera may be bad.)
 fn judged(
     model: &LoadedModel,
     reference: &Reference,
@@ -69,7 +69,7 @@ fn time(board: &Board, model: &LoadedModel, reference: &Reference, taken: &Taken
     let times = match chain_times(&model.encoder, reference, &shown, MEASURE) {
         Ok(times) => times,
         Err(error) => {
-            let remedy = "see that the lens is free and lit";
+            let remedy = "check that nothing covers the lens, and that there is light";
             return Check::fail("budget", format!("{error:#}"), remedy);
         }
     };
@@ -77,7 +77,7 @@ fn time(board: &Board, model: &LoadedModel, reference: &Reference, taken: &Taken
     let [median, late] = [50, 99].map(|percent| taking + quantile(times.clone(), percent));
     let allowed = board.budget.frame;
     let found = format!(
-        "{:.1} ms a frame, {:.1} ms at 99 %, of them {:.1} ms to take and convert it; {:.1} ms allowed at {} a second",
+        "{:.1} ms a frame, {:.1} ms at 99 %, including {:.1} ms to take and convert it; {:.1} ms allowed at {} a second",
         ms(median),
         ms(late),
         ms(taken.cpu),
@@ -85,13 +85,13 @@ fn time(board: &Board, model: &LoadedModel, reference: &Reference, taken: &Taken
         board.monitor.rate_hz
     );
     if late > allowed {
-        let remedy = "lower rate_hz in [monitor] or size in [camera], take a smaller model, or see what else runs (top)";
+        let remedy = "lower rate_hz in [monitor] or size in [camera], use a smaller model, or check what else runs (top)";
         return Check::fail("budget", found, remedy);
     }
     Check::pass("budget", found)
 }
 
-/// With the frames of this check, which the monitor does not hold; so it is no less than the monitor's.
+/// Includes the frames of this check, which the monitor does not hold, so it is not less than what the monitor uses.
 fn memory(board: &Board) -> Check {
     let allowed = board.budget.memory_mib;
     #[allow(clippy::cast_precision_loss)]
@@ -100,7 +100,7 @@ fn memory(board: &Board) -> Check {
         Ok(used) if used > allowed => Check::fail(
             "memory",
             format!("{used:.0} MiB resident; {allowed:.0} MiB allowed"),
-            "allow more (memory_mib in [budget]), or take a smaller model or size",
+            "allow more (memory_mib in [budget]), or use a smaller model or size",
         ),
         Ok(used) => Check::pass(
             "memory",

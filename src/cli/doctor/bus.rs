@@ -1,4 +1,4 @@
-//! Whether the bus is there, and who else is on it.
+//! Whether the bus is there, and which other nodes are on it.
 
 use std::fs;
 use std::time::{Duration, Instant};
@@ -9,7 +9,7 @@ use gapwatch::live::board::Board;
 
 use super::check::Check;
 
-/// How often the bus is listened to.
+/// How often the bus is read.
 const TICK: Duration = Duration::from_millis(5);
 /// Shortest time of listening: the sender of a speed may have a cycle of a second.
 const LISTEN_MIN: Duration = Duration::from_millis(1_200);
@@ -17,7 +17,7 @@ const LISTEN_MIN: Duration = Duration::from_millis(1_200);
 const IS_CAN: u64 = 280;
 const IS_UP: u64 = 1;
 
-/// What was heard in a while.
+/// What was heard on the bus.
 #[derive(Default)]
 struct Ears {
     foreign: Option<u16>,
@@ -38,9 +38,9 @@ pub fn check(board: &Board) -> Vec<Check> {
                     format!("ip link add {name} type vcan && ip link set {name} up")
                 }
                 Some(name) => format!(
-                    "plug the adapter in or load its driver: {name} is not among ip -br link"
+                    "plug the adapter in or load its driver: {name} is not in the list of ip -br link"
                 ),
-                None => "name a log in a folder that can be written".to_owned(),
+                None => "name a log file in a folder that can be written to".to_owned(),
             };
             return vec![Check::fail("bus", why, remedy)];
         }
@@ -48,10 +48,10 @@ pub fn check(board: &Board) -> Vec<Check> {
     let Some(name) = interface(sink) else {
         let found = match sink {
             Sink::LogFile(path) => {
-                format!("log:{}, no bus: nothing is listened to", path.display())
+                format!("log:{}: there is no bus to listen to", path.display())
             }
-            Sink::None => "none: nobody is warned".to_owned(),
-            _ => "log:-, no bus".to_owned(),
+            Sink::None => "none: nobody receives a warning".to_owned(),
+            _ => "log:-: there is no bus to listen to".to_owned(),
         };
         return vec![Check::pass("bus", found)];
     };
@@ -65,12 +65,12 @@ pub fn check(board: &Board) -> Vec<Check> {
         None if matches!(state, BusState::Passive | BusState::Off) => Check::fail(
             "bus",
             format!("socketcan:{name}: the controller is {state:?}, after many errors on the wire"),
-            "see wiring, termination, the bit rate, and that another node is there to acknowledge",
+            "check wiring, termination and bit rate, and that there is another node to acknowledge",
         ),
         Some(id) => Check::fail(
             "bus",
             format!("socketcan:{name}: another node sends our CAN id {id:#X}"),
-            "stop it (a running monitor?), or set status or health in [can]",
+            "stop that node (is a monitor running?), or set status or health in [can]",
         ),
         None => Check::pass(
             "bus",
@@ -85,11 +85,11 @@ pub fn check(board: &Board) -> Vec<Check> {
             None => Check::fail(
                 "speed",
                 format!("no frame with CAN id {:#X} came", speed.id),
-                "see candump for what the car sends, and set [can.speed]; without it nobody knows that the car is parked",
+                "check with candump what the car sends, and set [can.speed]; without it the monitor does not know when the car is parked",
             ),
             Some(None) => Check::fail(
                 "speed",
-                format!("CAN id {:#X} comes, but its sender says that it does not know", speed.id),
+                format!("CAN id {:#X} comes, but its sender says that it does not know the speed", speed.id),
                 "set start_bit and length in [can.speed] as the car's DBC file says",
             ),
             Some(Some(standing)) => Check::pass(
@@ -131,15 +131,16 @@ fn check_interface(name: &str) -> Option<Check> {
     let bus = |found: String, remedy: String| Some(Check::fail("bus", found, remedy));
     if number("type").is_some_and(|kind| kind != IS_CAN) {
         return bus(
-            format!("{name} is no CAN interface"),
-            "name one as sink in [can]: ip -br link show type can".to_owned(),
+            format!("{name} is not a CAN interface"),
+            "name a CAN interface as sink in [can]; this lists them: ip -br link show type can"
+                .to_owned(),
         );
     }
     if number("flags").is_some_and(|flags| flags & IS_UP == 0) {
         return bus(
             format!("socketcan:{name} is down"),
             format!(
-                "ip link set {name} up; a controller needs its rate first: ip link set {name} type can bitrate 500000 restart-ms 100"
+                "ip link set {name} up; a controller needs its bit rate first: ip link set {name} type can bitrate 500000 restart-ms 100"
             ),
         );
     }
@@ -147,7 +148,7 @@ fn check_interface(name: &str) -> Option<Check> {
         return bus(
             format!("socketcan:{name} has no carrier: its controller is off the bus"),
             format!(
-                "see wiring, termination and rate, then: ip link set {name} down; ip link set {name} type can restart-ms 100; ip link set {name} up"
+                "check wiring, termination and bit rate, then: ip link set {name} down; ip link set {name} type can restart-ms 100; ip link set {name} up"
             ),
         );
     }

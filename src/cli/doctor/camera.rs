@@ -14,21 +14,21 @@ use gapwatch::live::cost::{quantile, thread_cpu_time};
 
 use super::check::Check;
 
-/// Frames that are taken.
+/// Number of frames that are taken.
 const FRAMES: usize = 11;
-/// How long they are waited for, and for how many times the board's time between frames if that is longer: a camera may
-/// need a second to start.
+/// Longest wait for the frames, and the same as a multiple of the board's time between frames, if that is longer: a
+/// camera may need a second to start.
 const PATIENCE: Duration = Duration::from_secs(4);
 const PERIODS: f64 = 15.0;
-/// Frames may come this much slower than is asked for: cameras keep a rate of their own.
+/// Frames may come at this share of the rate that was asked for, because cameras have rates of their own.
 const RATE_SHARE: f64 = 0.8;
 
 /// Frames that came.
 pub struct Taken {
     pub frames: Vec<Frame>,
-    /// CPU time that taking and converting one cost, median.
+    /// CPU time to take and convert one frame, median.
     pub cpu: Duration,
-    /// Of the frames: how many a second came.
+    /// How many frames came in a second.
     rate_hz: f64,
 }
 
@@ -76,13 +76,13 @@ pub fn check(board: &Board) -> (Option<Taken>, Check) {
     let rate = taken.rate_hz;
     let found = format!("{said}; {rate:.1} of the wanted {rate_hz} frames a second");
     if rate < RATE_SHARE * rate_hz {
-        let remedy = "ask for another format, a smaller size or a higher fps in [camera], give it more light, or lower rate_hz in [monitor]";
+        let remedy = "set another format, a smaller size or a higher fps in [camera], give the camera more light, or lower rate_hz in [monitor]";
         return (Some(taken), Check::fail("camera", found, remedy));
     }
     (Some(taken), Check::pass("camera", found))
 }
 
-/// Takes frames on a thread that nobody waits for: a camera may not answer.
+/// Takes frames on a thread that nothing waits for, because a camera may not answer.
 #[allow(clippy::cast_precision_loss)]
 fn take(source: Box<dyn FrameSource>, patience: Duration) -> Result<Taken, String> {
     let (sender, given) = channel();
@@ -110,7 +110,7 @@ fn take(source: Box<dyn FrameSource>, patience: Duration) -> Result<Taken, Strin
     if frames.is_empty() {
         return Err(format!("no frame within {:.0} s", patience.as_secs_f64()));
     }
-    // One that stalls is as slow as all the time that was waited for it.
+    // The rate of a camera that stalls is taken over the whole time of waiting.
     let rate_hz = if in_time {
         rate_of(&frames)
     } else {
@@ -157,13 +157,13 @@ fn remedy(source: &str) -> String {
             "plug the camera in, or load its driver: there is no /dev/video0".to_owned()
         }
         Err(ErrorKind::NotFound) => {
-            "take another /dev/videoN: v4l2-ctl --list-devices shows whose they are".to_owned()
+            "use another /dev/videoN; this lists the cameras: v4l2-ctl --list-devices".to_owned()
         }
         Err(ErrorKind::PermissionDenied) => {
-            format!("let this user into the group of {device}, as in: usermod -a -G video USER")
+            format!("add this user to the group of {device}, for example: usermod -a -G video USER")
         }
         _ => format!(
-            "see that nobody else has it (fuser {device}; the running monitor has), and what it offers: v4l2-ctl -d {device} --list-formats-ext"
+            "check that no other program uses it (fuser {device}), for example a running monitor, and what it offers: v4l2-ctl -d {device} --list-formats-ext"
         ),
     }
 }

@@ -8,7 +8,7 @@ pub struct Check {
     pub check: &'static str,
     pub result: Outcome,
     pub found: String,
-    /// What mends it; `None` where there is nothing to mend.
+    /// What to do about it; `None` if there is nothing to do.
     #[serde(rename = "do")]
     pub remedy: Option<String>,
 }

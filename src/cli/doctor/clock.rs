@@ -1,4 +1,4 @@
-//! What time is taken from.
+//! Where the time comes from.
 
 use std::fs;
 use std::time::SystemTime;

@@ -1,4 +1,4 @@
-//! Whether what the monitor keeps can be written.
+//! Whether the files that the monitor keeps can be written.
 
 use std::path::Path;
 
@@ -7,14 +7,14 @@ use gapwatch::record::events::{Found, examine};
 
 use super::check::Check;
 
-/// The only folder that the service may write, made when it starts; and where its boards are.
+/// The only folder that the service may write to, which is made when it starts, and the folder of its board files.
 const OF_SERVICE: &str = "/var/lib/gapwatch";
 const BOARDS_OF_SERVICE: &str = "/etc/gapwatch";
-/// Names that are said of what is no event.
+/// Largest number of names listed of files that are not events.
 const NAMED_MAX: usize = 5;
 
-/// `place` is the journal's file or the folder of evidence; where it is not there yet, the folder above must be. Of a `board` of
-/// the service it is the service that writes.
+/// `place` is the file of the journal or the folder of the evidence. If it does not exist yet, the folder above it must
+/// exist. For a `board` of the service, it is the service that writes.
 pub fn check(what: &'static str, place: Option<&Path>, board: &Path) -> Check {
     let Some(place) = place else {
         return Check::left_out(what, format!("none asked for (--{what})"));
@@ -23,12 +23,12 @@ pub fn check(what: &'static str, place: Option<&Path>, board: &Path) -> Check {
         return if place.starts_with(OF_SERVICE) {
             Check::pass(
                 what,
-                format!("{}, which the service may write", place.display()),
+                format!("{}, which the service may write to", place.display()),
             )
         } else {
             Check::fail(
                 what,
-                format!("{}, which the service may not write", place.display()),
+                format!("{}, which the service may not write to", place.display()),
                 format!("name an absolute folder below {OF_SERVICE}"),
             )
         };
@@ -48,7 +48,7 @@ pub fn check(what: &'static str, place: Option<&Path>, board: &Path) -> Check {
         return Check::fail(what, found, "name a file");
     }
     if what == "evidence" && place.exists() && !place.is_dir() {
-        let found = format!("{} is no folder", place.display());
+        let found = format!("{} is not a folder", place.display());
         return Check::fail(what, found, "name a folder");
     }
     let written = if what == "evidence" && place.is_dir() {
@@ -61,7 +61,7 @@ pub fn check(what: &'static str, place: Option<&Path>, board: &Path) -> Check {
         Err(error) => Check::fail(
             what,
             format!("{}: {}", folder.display(), unnamed(&error)),
-            "make the folder, let this user write it (in the service: StateDirectory), or name another",
+            "create the folder, allow this user to write to it (in the service: StateDirectory), or name another folder",
         ),
     }
 }
@@ -71,7 +71,7 @@ fn in_words(found: &Found) -> String {
     let mut words = format!("{} events of {megabytes:.1} MB in it", found.events);
     if found.unfinished > 0 {
         words += &format!(
-            ", {} unfinished, which the next start removes",
+            ", {} unfinished (removed at the next start)",
             found.unfinished
         );
     }
@@ -84,7 +84,7 @@ fn in_words(found: &Found) -> String {
             ""
         };
         words += &format!(
-            "; what is no event is left alone: {}{more}",
+            "; other files in it are left alone: {}{more}",
             names.join(", ")
         );
     }
@@ -106,7 +106,7 @@ mod tests {
             check.result
         };
         let service = "/etc/gapwatch/car.toml";
-        // Its own folder is made when it starts.
+        // The service's own folder is made when it starts.
         let own = Path::new("/var/lib/gapwatch/seen");
         assert!(result(own, service) == Outcome::Pass);
         assert!(result(here.path(), service) == Outcome::Fail);
@@ -132,7 +132,7 @@ mod tests {
             assert!(found.contains(part), "{found}");
         }
         assert!(here.path().join(".unfinished-000008").exists());
-        // As the recorder would: not where another one writes, and not into a file.
+        // Like the recorder: not where another recorder writes, and not into a file.
         let quota = gapwatch::record::events::Quota::default();
         let recorder =
             gapwatch::record::events::EventRecorder::start(here.path(), quota, &[]).unwrap();

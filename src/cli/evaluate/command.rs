@@ -9,7 +9,7 @@ use super::results::Made;
 use super::{field_sets, lane_failure, paper_table, speed_error};
 use crate::cli::args::{EvaluateArgs, EvaluateKey};
 
-/// How the folder of image sets is named, wherever it lies.
+/// How the folder of image sets is named, wherever it is.
 const FIELD: &str = "--field \"$GAPWATCH_FIELD\"";
 
 /// How the results of a key are made.
@@ -64,7 +64,7 @@ fn command(key: EvaluateKey, args: &EvaluateArgs) -> String {
     words.join(" ")
 }
 
-/// A path that means the same on another machine: as typed when it is below the working folder, otherwise its last part.
+/// A path that means the same on another machine: as typed if it is below the working folder, otherwise its last part.
 pub fn portable(path: &Path) -> String {
     let below = path.is_relative() && !path.starts_with("..");
     let part = path.file_name().map(Path::new).filter(|_| !below);

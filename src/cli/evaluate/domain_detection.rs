@@ -12,16 +12,16 @@ use super::watched::Watched;
 use crate::cli::args::EvaluateArgs;
 
 /// What the rows mean.
-pub const ABOUT: &str = "Rendered drives on which a condition grows to a severity, the world changes its look or the \
-    picture becomes noise. Found: `Gap` is entered from the beginning of the event to 2 s after its onset; drives that \
-    were in `Gap` before, or reported `SensorFault` instead, do not count as found.";
+pub const ABOUT: &str = "Rendered drives in which an event happens: a condition grows to a severity, the world changes its \
+    look, or the picture becomes noise. An event is found if `Gap` is entered between its beginning and 2 s after its onset. \
+    Drives that were in `Gap` before, or that reported `SensorFault` instead, do not count as found.";
 
-/// Drives an event of the full evaluation, and of the quick one.
+/// Number of drives for each event in the full evaluation, and in the quick one.
 const DRIVES: (u32, u32) = (20, 1);
 /// Rates of false alarms at which events are judged.
 const RATES: [f64; 2] = [1.0, 0.1];
 
-/// Every event on its drives, at every rate.
+/// Judges every event on its drives, at every rate.
 pub fn rows(watched: &Watched, args: &EvaluateArgs) -> anyhow::Result<Vec<Row<Detection>>> {
     let drives = match (args.drives, args.quick) {
         (Some(drives), _) => drives,
@@ -52,7 +52,8 @@ pub fn rows(watched: &Watched, args: &EvaluateArgs) -> anyhow::Result<Vec<Row<De
     Ok(rows)
 }
 
-/// A table a rate of found shares, conditions down and severities across, and one of how long it took.
+/// For each rate, a table of the shares found (conditions in rows, severities in columns), and a table of how long it
+/// took.
 pub fn sheets(rows: &[Row<Detection>]) -> Vec<Sheet> {
     let mut sheets = Vec::new();
     for rate in RATES {
@@ -73,7 +74,7 @@ pub fn sheets(rows: &[Row<Detection>]) -> Vec<Sheet> {
 #[allow(clippy::cast_precision_loss)]
 fn found(first: &Detection, of_rate: &[&Detection]) -> Sheet {
     let title = format!(
-        "Entered as Gap within {WITHIN_S} s, per cent of {} drives each, at {} false alarms an hour (nominal: {})",
+        "Gap entered within {WITHIN_S} s, per cent of {} drives each, at {} false alarms an hour (nominal: {})",
         first.drives, first.false_alarms_per_hour, first.nominal
     );
     let mut sheet = by_severity(title, of_rate, |of| {
@@ -106,8 +107,8 @@ fn found(first: &Detection, of_rate: &[&Detection]) -> Sheet {
     sheet
 }
 
-/// What must be found. Not the adapted look, which plays the simulation that was made to look real, and not the plain one, which
-/// every reference of accepted roads knows too.
+/// Whether an event must be found. The adapted look is not one of them, because it stands for the simulation that was
+/// made to look real. The plain look is not one either, because every reference with accepted roads knows it too.
 fn is_severe(of: &Detection) -> bool {
     match of.severity {
         Some(severity) => severity >= 3,
@@ -119,8 +120,8 @@ fn is_severe(of: &Detection) -> bool {
 
 fn delays(first: &Detection, of_rate: &[&Detection]) -> Sheet {
     let title = format!(
-        "Seconds from onset to Gap at {} false alarms an hour, median and longest of those found (conditions grow for 2 s \
-         before their onset)",
+        "Seconds from onset to Gap at {} false alarms an hour, median and longest of the events that were found (conditions \
+         grow for 2 s before their onset)",
         first.false_alarms_per_hour
     );
     by_severity(title, of_rate, |of| {

@@ -12,14 +12,14 @@ use super::watched::Watched;
 use crate::cli::args::EvaluateArgs;
 
 /// What the rows mean.
-pub const ABOUT: &str = "Entries into `Gap` on nominal drives that nothing was tuned on, at thresholds made for a wanted \
-    rate. Intervals are from resampling drives, since a road near the threshold enters more than once, and never narrower than \
-    the exact ones of independent entries (Poisson). A rate is *not louder than asked* when its one-sided 95 % upper bound is at \
-    most the wanted rate, *louder than asked* when its one-sided 95 % lower bound is above it, and else *not shown*, with the hours \
-    without an entry that are missing; a row without one-sided bounds is judged by the ends of its two-sided interval, which are wider. \
-    Only judged hours count.";
+pub const ABOUT: &str = "Entries into `Gap` on nominal drives that were not used for tuning, at thresholds made for a wanted \
+    rate. Intervals come from resampling drives, because a road near the threshold enters `Gap` more than once. They are never \
+    narrower than the exact intervals of independent entries (Poisson). A rate is *not louder than asked* if its one-sided 95 % \
+    upper bound is at most the wanted rate, and *louder than asked* if its one-sided 95 % lower bound is above it. Otherwise it is \
+    *not shown*, and the number of missing hours without an entry is given. A row without one-sided bounds is judged by the ends \
+    of its two-sided interval, which is wider. Only judged hours count.";
 
-/// A row as it stands in a file: the word beside its numbers, for whoever reads it. It is not read back but made of the
+/// A row as it is in a file: the words are beside its numbers for the reader. They are not read back, but made from the
 /// numbers again.
 #[derive(Serialize, Deserialize)]
 pub struct Said {
@@ -50,7 +50,7 @@ const HOURS: u32 = 24;
 /// Nominal drives of the quick evaluation, and their length, seconds.
 const QUICK_DRIVES: (u32, f64) = (10, 60.0);
 
-/// Every rate that the reference has thresholds for, on the same drives.
+/// Judges every rate for which the reference has thresholds, on the same drives.
 pub fn rows(watched: &Watched, args: &EvaluateArgs) -> anyhow::Result<Vec<Row<Said>>> {
     let drives_an_hour = 3_600.0 / false_alarms::DRIVE_S;
     let (drives, seconds) = if args.quick {
@@ -84,7 +84,7 @@ pub fn rows(watched: &Watched, args: &EvaluateArgs) -> anyhow::Result<Vec<Row<Sa
         .collect()
 }
 
-/// One table: a row a wanted rate.
+/// One table with a row for each wanted rate.
 pub fn sheets(rows: &[Row<Said>]) -> Vec<Sheet> {
     let mut sheet = Sheet::new(
         "False alarms an hour on nominal drives".to_owned(),

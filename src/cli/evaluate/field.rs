@@ -11,16 +11,16 @@ use gapwatch::model::ModelOptions;
 use crate::cli::args::EvaluateArgs;
 use crate::cli::loaded_model::LoadedModel;
 
-/// A set of the folder.
+/// An image set of the folder.
 ///
 /// Blocks are at least twice the integrated autocorrelation time of the gaps of single images against a reference of
 /// towns 01 to 03 (mahalanobis and log-energy-js, the largest of the taps): 25 images of the highway clip, 7 of the
 /// frames from another clip, 1.5 of town 05 and BeamNG.
 pub struct FieldSet {
     pub name: &'static str,
-    /// Its sequences, in the folder, and how many neighbouring images of each are a block.
+    /// Its sequences in the folder, and the number of neighbouring images that make a block of each.
     sources: &'static [(&'static str, usize)],
-    /// Roads or drives that they come from, as far as is known.
+    /// Number of roads or drives that they come from, as far as it is known.
     drives: usize,
 }
 
@@ -47,7 +47,7 @@ pub const HIGHWAY: FieldSet = FieldSet {
     ],
     drives: 1,
 };
-/// Another simulator, bonnet in view.
+/// Another simulator, with the bonnet in view.
 pub const BEAMNG: FieldSet = FieldSet {
     name: "beamng",
     sources: &[("sim/beamng", 5)],
@@ -73,7 +73,7 @@ pub const HIGHWAY_CLIP: FieldSet = FieldSet {
     sources: &[(CLIP, 50)],
     drives: 1,
 };
-/// The rest of it.
+/// The other images of that highway.
 pub const HIGHWAY_REST: FieldSet = FieldSet {
     name: "real 2: other highway images",
     sources: &[
@@ -114,7 +114,7 @@ impl Field {
         let model = match args.model.as_slice() {
             [] => None,
             [one] => Some(one.as_path()),
-            _ => bail!("image sets are compared by one model; wanted one --model"),
+            _ => bail!("image sets are compared with one model; wanted one --model"),
         };
         Ok(Self {
             folder: args.field.clone(),
@@ -135,7 +135,7 @@ impl Field {
     /// Looks at every image of a set.
     pub fn look(&self, set: &FieldSet) -> anyhow::Result<SequenceSet> {
         let Some(folder) = &self.folder else {
-            bail!("{}: an image set; wanted --field DIR", set.name);
+            bail!("{}: is an image set; wanted --field DIR", set.name);
         };
         let sources: Vec<String> = set
             .sources

@@ -1,4 +1,4 @@
-//! How well image sets of other roads are told from simulations: rows and tables.
+//! How well image sets of other roads are distinguished from simulations: rows and tables.
 
 use gapwatch::lab::evaluation::field_sets::{
     Case, FieldSetRow, TapSeparation, WINDOWS, rows as rows_of, steps,
@@ -12,18 +12,19 @@ use super::sheet::{Sheet, with_interval};
 use crate::cli::args::EvaluateArgs;
 
 /// What the rows mean.
-pub const ABOUT: &str = "Disjoint windows of N images of other roads against as large windows of unseen images of the \
-    reference's own domain. AUROC: how often a window of the set has the larger gap. Recall: windows of the set above the \
-    lowest threshold that at most 5 % of the nominal windows exceed, so none when there are fewer than 20. Every second \
-    block of the reference makes histograms or moments; the others scale the taps' gaps, and `fused` is the largest score \
-    over the taps, as in the monitor. Intervals are 95 %: percentiles over 1,000 resamples of whole blocks of neighbouring \
-    images, at least twice as long as the gaps remember, and never narrower than the score interval for as many independent \
-    values as there are blocks (Newcombe 2006 for AUROC, Wilson for recall). The reference is not resampled. Each set is \
-    one drive or town: intervals say what other moments of the same recordings would give, not other roads.";
+pub const ABOUT: &str = "Disjoint windows of N images of other roads are compared with windows of the same size of unseen \
+    images of the reference's own domain. AUROC is how often a window of the set has the larger gap. Recall is the share of \
+    windows of the set above the lowest threshold that at most 5 % of the nominal windows exceed; there is none if there are \
+    fewer than 20 nominal windows. Every second block of the reference makes histograms or moments, and the others scale the \
+    gaps of the taps. `fused` is the largest score of the taps, as in the monitor. Intervals are 95 %: percentiles over 1,000 \
+    resamples of whole blocks of neighbouring images. Blocks are at least twice as long as the autocorrelation time of the \
+    gaps. Intervals are never narrower than the score interval for as many independent values as there are blocks (Newcombe \
+    2006 for AUROC, Wilson for recall). The reference is not resampled. Each set is one drive or town, so intervals say what \
+    other moments of the same recordings would give, and not what other roads would give.";
 
 /// Name of the rendered reference.
 const RENDERED: &str = "scene:sim";
-/// Drives of it, the same as the shipped reference's, and unseen ones; and those of the quick evaluation.
+/// Its drives (the same as those of the shipped reference) and unseen drives, and both for the quick evaluation.
 const DRIVES: [&str; 2] = [
     "scene:sim?seed=1001..1400&seconds=3",
     "scene:sim?seed=80001..80100&seconds=3",
@@ -32,20 +33,20 @@ const QUICK_DRIVES: [&str; 2] = [
     "scene:sim?seed=1001..1030&seconds=1",
     "scene:sim?seed=80001..80020&seconds=1",
 ];
-/// Images of random pixels.
+/// Number of images of random pixels.
 const RANDOM: usize = 120;
 
 fn rendered(quick: bool) -> [&'static str; 2] {
     if quick { QUICK_DRIVES } else { DRIVES }
 }
 
-/// Seeds of what is rendered, in words.
+/// The seeds of what is rendered, as text.
 pub fn seeds(quick: bool) -> String {
     let [reference, nominal] = rendered(quick);
     format!("reference `{reference}`, unseen `{nominal}`, random pixels 1")
 }
 
-/// Every set against both references.
+/// Compares every set with both references.
 pub fn rows(field: &Field, args: &EvaluateArgs) -> anyhow::Result<Vec<Row<FieldSetRow>>> {
     let (towns, town_05) = (field.look(&TOWNS)?, field.look(&TOWN_05)?);
     let (highway, beamng, poses) = (
@@ -87,7 +88,7 @@ pub fn rows(field: &Field, args: &EvaluateArgs) -> anyhow::Result<Vec<Row<FieldS
     Ok(rows)
 }
 
-/// Tables a reference and number of images: metrics down, sets across.
+/// Tables for each reference and number of images, with metrics in rows and sets in columns.
 pub fn sheets(rows: &[Row<FieldSetRow>]) -> Vec<Sheet> {
     let mut references: Vec<&str> = rows.iter().map(|row| &*row.of.reference).collect();
     references.dedup();
@@ -141,7 +142,7 @@ fn of_one(rows: &[&FieldSetRow]) -> Vec<Sheet> {
     sheets
 }
 
-/// Metrics down, sets across.
+/// A table with metrics in rows and sets in columns.
 fn table(
     rows: &[&FieldSetRow],
     title: String,
@@ -163,7 +164,7 @@ fn table(
     sheet
 }
 
-/// Counts, and what is undefined.
+/// Notes with counts, and with what is undefined.
 fn notes(rows: &[&FieldSetRow], first: &FieldSetRow) -> Vec<String> {
     let counted = |name: &str, windows: usize, blocks: usize, drives: usize| {
         format!(
@@ -179,7 +180,7 @@ fn notes(rows: &[&FieldSetRow], first: &FieldSetRow) -> Vec<String> {
         first.nominal_blocks,
         first.nominal_drives,
     )];
-    // Of the first metric that has them all.
+    // The counts are those of the first metric that has all of them.
     let of_metrics = rows.chunk_by(|a, b| a.metric == b.metric);
     let whole = of_metrics.max_by_key(|of| of.iter().map(|of| of.windows).sum::<usize>());
     for of in whole.unwrap_or_default() {
@@ -198,7 +199,7 @@ fn notes(rows: &[&FieldSetRow], first: &FieldSetRow) -> Vec<String> {
     let mut reasons: Vec<String> = reasons.collect();
     if let Some((more, shown)) = reasons.len().checked_sub(3).zip(reasons.get(..2)) {
         let mut shown = shown.to_vec();
-        shown.push(format!("The same or alike of {} more.", more + 1));
+        shown.push(format!("The same or similar for {} more.", more + 1));
         reasons = shown;
     }
     std::iter::once(counts).chain(reasons).collect()

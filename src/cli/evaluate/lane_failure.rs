@@ -1,4 +1,4 @@
-//! Failures of the lane model, predicted: rows and tables.
+//! Prediction of failures of the lane model: rows and tables.
 
 use std::path::PathBuf;
 
@@ -14,12 +14,13 @@ use super::sheet::{Sheet, with_interval};
 use crate::cli::args::EvaluateArgs;
 
 /// What the rows mean.
-pub const ABOUT: &str = "A failure is a second whose lane IoU is below half of that of the same second in plain day; it is found if \
-    `Gap` is entered from 5 s before to 1 s after its onset. Drives of the plain look on which nothing was tuned, under every kind \
-    of condition at severities 1 to 5, growing for 2 s, there for 8 s, fading for 2 s. AUROC and Spearman are over the seconds \
-    under a condition, intervals from resampling roads. A drive is benign when it keeps 0.9 of its lane IoU. Every method has a \
-    reference and thresholds of its own from the same nominal drives; false alarms are counted on other nominal drives, of several forecasts those of the loudest. \
-    `lane-risk` is fitted on drives under the same kinds of condition, `lane-risk, fitted on other kinds` never on the kind that is judged.";
+pub const ABOUT: &str = "A failure is a second whose lane IoU is below half of that of the same second on a plain day. It is found if \
+    `Gap` is entered between 5 s before and 1 s after its onset. The drives have the plain look and were not used for tuning. Each \
+    kind of condition, at severities 1 to 5, grows for 2 s, stays for 8 s and fades for 2 s. AUROC and Spearman are over the seconds \
+    under a condition; their intervals come from resampling roads. A drive is benign if it keeps 0.9 of its lane IoU. Every method \
+    has its own reference and thresholds from the same nominal drives. False alarms are counted on other nominal drives; with several \
+    forecasts, those of the forecast with the most are given. `lane-risk` is fitted on drives under the same kinds of condition, and \
+    `lane-risk, fitted on other kinds` never on the kind that is judged.";
 
 /// The model that is judged.
 pub struct Judged {
@@ -29,7 +30,7 @@ pub struct Judged {
 }
 
 impl Judged {
-    /// Opens the one model, which must have its lane head.
+    /// Opens the one model, which must have a lane head.
     pub fn open(models: &[PathBuf]) -> anyhow::Result<Self> {
         let file = match models {
             [] => None,
@@ -55,7 +56,7 @@ fn sizes(quick: bool) -> Sizes {
     if quick { Sizes::QUICK } else { Sizes::FULL }
 }
 
-/// Every method at every rate.
+/// Judges every method at every rate.
 pub fn rows(judged: &Judged, args: &EvaluateArgs) -> anyhow::Result<Vec<Row<LaneFailure>>> {
     let sizes = sizes(args.quick);
     let bar = progress::over(Some(sizes.drives()), "lane failure", "drives");
@@ -74,12 +75,12 @@ pub fn rows(judged: &Judged, args: &EvaluateArgs) -> anyhow::Result<Vec<Row<Lane
         .collect())
 }
 
-/// Seeds of what is rendered.
+/// The seeds of what is rendered.
 pub fn seeds(quick: bool) -> String {
     lane_failure::seeds_of(sizes(quick))
 }
 
-/// A table of what does not depend on a rate, then one a rate.
+/// A table of what does not depend on the rate, then one table for each rate.
 pub fn sheets(rows: &[Row<LaneFailure>]) -> Vec<Sheet> {
     let per_cent = |share: Option<f64>, interval: (f64, f64)| {
         share.map_or_else(
@@ -130,11 +131,11 @@ pub fn sheets(rows: &[Row<LaneFailure>]) -> Vec<Sheet> {
                 "of",
                 "precision, %",
                 "lead, s",
-                "benign alarmed, %",
+                "alarms on benign drives, %",
                 "of",
                 "severity 3 and above found within 2 s, %",
                 "of",
-                "false alarms an hour, nominal",
+                "false alarms an hour, nominal drives",
             ],
         );
         for Row { of, .. } in rows {

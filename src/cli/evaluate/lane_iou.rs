@@ -15,14 +15,14 @@ use super::sheet::{Sheet, with_interval};
 use crate::cli::args::EvaluateArgs;
 
 /// What the rows mean.
-pub const ABOUT: &str = "Intersection over union of the lane model's answer with the true lane lines, pooled over all \
-    pixels of scenes that no training has seen: plain day in the title, conditions below. Intervals are 95 %, resampling \
-    scenes.";
+pub const ABOUT: &str = "Intersection over union of the lane model's output with the true lane lines, pooled over all \
+    pixels of scenes that were not used for training. The title gives the value on plain days, and the table gives the values \
+    under conditions. Intervals are 95 %, from resampling scenes.";
 
-/// Scenes a setting of the full evaluation, and of the quick one.
+/// Number of scenes for each setting in the full evaluation, and in the quick one.
 const SCENES: (u32, u32) = (100, 6);
 
-/// The models to judge; one that names no lane output is refused.
+/// The models to judge. A model that names no lane output is refused.
 pub fn models(files: &[PathBuf]) -> anyhow::Result<Vec<(ModelSpec, Encoder)>> {
     let files: Vec<Option<&PathBuf>> = if files.is_empty() {
         vec![None]
@@ -43,7 +43,7 @@ pub fn models(files: &[PathBuf]) -> anyhow::Result<Vec<(ModelSpec, Encoder)>> {
     models.collect()
 }
 
-/// Lane IoU of every model under every setting.
+/// Measures the lane IoU of every model under every setting.
 pub fn rows(
     models: &[(ModelSpec, Encoder)],
     args: &EvaluateArgs,
@@ -70,7 +70,7 @@ pub fn rows(
     Ok(rows)
 }
 
-/// One line a setting and model.
+/// Writes one line for each setting and model.
 pub fn csv(rows: &[Row<LaneIou>], out: &mut dyn Write) -> anyhow::Result<()> {
     writeln!(
         out,
@@ -94,7 +94,8 @@ pub fn csv(rows: &[Row<LaneIou>], out: &mut dyn Write) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// A table a model and look: conditions down, severities across; then where the encoder looks in plain day.
+/// A table for each model and look, with conditions in rows and severities in columns, and then where the encoder looks
+/// on plain days.
 pub fn sheets(rows: &[Row<LaneIou>]) -> Vec<Sheet> {
     let mut models: Vec<&str> = rows.iter().map(|row| row.of.model.as_str()).collect();
     models.dedup();

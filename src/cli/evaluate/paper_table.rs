@@ -9,17 +9,17 @@ use super::sheet::{Sheet, with_interval};
 use crate::cli::args::EvaluateArgs;
 
 /// What the rows mean.
-pub const ABOUT: &str = "Image sets as wholes against a reference set, as in the paper's table: another set of the \
+pub const ABOUT: &str = "Whole image sets are compared with a reference set, as in the paper's table: another set of the \
     reference's own domain, adapted simulation (look `sim-realistic`), plain simulation (look `sim`) or real images, and \
-    noise, at equal numbers of images. `paper` is Pearson's correlation of softmax attention at T = 10, bins 101 to 255 (1 = \
-    alike); `mahalanobis`, a distance, is there for comparison. Intervals are 95 %: percentiles over 1,000 resamples, with \
-    replacement, of blocks of images of the reference and of the sets (2 s of a clip, single rendered scenes, each from a \
-    drive of its own), moved to centre on what was found, since drawing with replacement adds noise that lowers every \
-    similarity. Order: whether the similarities fall from the first set to the last, and in what share of the resamples \
-    they do. The paper's order need not hold here: the encoder is \
-    trained on simulation, and the real images are one road.";
+    noise, with equal numbers of images. `paper` is Pearson's correlation of softmax attention at T = 10, bins 101 to 255 (1 = \
+    equal). `mahalanobis`, a distance, is given for comparison. Intervals are 95 %: percentiles over 1,000 resamples, with \
+    replacement, of blocks of images of the reference and of the sets. A block is 2 s of a clip, or a single rendered scene \
+    from a drive of its own. The intervals are moved so that their centre is the value found, because drawing with \
+    replacement adds noise that lowers every similarity. Order says whether the similarities fall from the first set to the \
+    last, and in what share of the resamples they do. The paper's order does not have to hold here, because the encoder is \
+    trained on simulation, and the real images show one road.";
 
-/// Rendered sets, an image a drive: the plain simulation, more of it, and the adapted one.
+/// Rendered sets with one image for each drive: the plain simulation, more of it, and the adapted simulation.
 fn rendered(quick: bool) -> [String; 3] {
     let set = |look: &str, first: u32, drives: u32| {
         let drives = if quick { 30 } else { drives };
@@ -33,18 +33,18 @@ fn rendered(quick: bool) -> [String; 3] {
     ]
 }
 
-/// The published metric, and the default of those that compare sets.
+/// The published metric, and the default metric for comparing sets.
 const METRICS: [Metric; 2] = [Metric::Paper, Metric::Mahalanobis];
-/// Images of random pixels.
+/// Number of images of random pixels.
 const RANDOM: usize = 120;
 
-/// Seeds of what is rendered, in words.
+/// The seeds of what is rendered, as text.
 pub fn seeds(quick: bool) -> String {
     let [plain, plain_2, adapted] = rendered(quick);
     format!("`{plain}`, `{plain_2}`, `{adapted}`, random pixels 1")
 }
 
-/// Real images as the reference, if there are any, then the simulation.
+/// Compares with real images as the reference, if there are any, and then with the simulation.
 pub fn rows(field: &Field, args: &EvaluateArgs) -> anyhow::Result<Vec<Row<PaperRow>>> {
     let [plain, plain_2, adapted] = rendered(args.quick);
     let plain = field.render("plain simulation", &plain)?;
@@ -82,7 +82,7 @@ pub fn rows(field: &Field, args: &EvaluateArgs) -> anyhow::Result<Vec<Row<PaperR
         .collect())
 }
 
-/// A table a reference and metric: sets down, taps across.
+/// A table for each reference and metric, with sets in rows and taps in columns.
 pub fn sheets(rows: &[Row<PaperRow>]) -> Vec<Sheet> {
     rows.chunk_by(|a, b| (&a.of.reference, a.of.metric) == (&b.of.reference, b.of.metric))
         .map(sheet)

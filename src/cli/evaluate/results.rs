@@ -1,4 +1,4 @@
-//! Results as a file: JSON with one key an evaluation, which are made and made again one by one.
+//! A file of results: JSON with one key for each evaluation. Each key can be made again alone.
 
 use std::io::Write;
 use std::path::Path;
@@ -12,11 +12,11 @@ use serde_json::{Map, Value, json};
 
 use crate::cli::args::EvaluateKey;
 
-/// Key of the version of the program that wrote the file last: by it such a file is known.
+/// Key of the version of the program that last wrote the file. A file of results is recognised by this key.
 const VERSION: &str = "gapwatch";
 /// Largest file of results.
 const BYTES_MAX: u64 = 64 << 20;
-/// Key of how the others were made.
+/// Key that says how the others were made.
 const MADE: &str = "made";
 
 /// One row of a key.
@@ -25,18 +25,18 @@ pub struct Row<T> {
     /// What was found.
     #[serde(flatten)]
     pub of: T,
-    /// It is what the program does when nothing else is asked for.
+    /// Whether it is what the program does if nothing else is asked for.
     pub default: bool,
 }
 
 /// How the rows of a key were made.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Made {
-    /// The command that makes them again, on any machine.
+    /// The command that makes the rows again, on any machine.
     pub command: String,
     /// Version of the program.
     pub gapwatch: String,
-    /// Seeds of what was rendered, in words.
+    /// The seeds of what was rendered, as text.
     pub seeds: String,
 }
 
@@ -48,11 +48,11 @@ impl Results {
     /// Reads a file of results.
     ///
     /// # Errors
-    /// When it cannot be read or is another kind of file.
+    /// When the file cannot be read, or is another kind of file.
     pub fn read(path: &Path) -> anyhow::Result<Self> {
         let name = path.display();
         let text = read_whole(path, BYTES_MAX).with_context(|| format!("cannot read {name}"))?;
-        let wanted = "wanted results as gapwatch evaluate --out writes them";
+        let wanted = "wanted results written by gapwatch evaluate --out";
         match serde_json::from_slice(&text) {
             Ok(Value::Object(of)) if of.get(VERSION).is_some_and(Value::is_string) => Ok(Self(of)),
             Ok(_) => bail!("{name}: JSON without the key {VERSION:?}; {wanted}"),
@@ -63,7 +63,7 @@ impl Results {
     /// Puts the rows of a key in place of those that were there.
     ///
     /// # Errors
-    /// When a row is no JSON.
+    /// When a row cannot be written as JSON.
     pub fn set<T: Serialize>(
         &mut self,
         key: EvaluateKey,
@@ -75,7 +75,7 @@ impl Results {
         Ok(())
     }
 
-    /// Takes over one key of others.
+    /// Takes one key from other results.
     fn take_over(&mut self, key: EvaluateKey, other: &Self) {
         let name = key.name();
         if let Some(rows) = other.0.get(&name) {
@@ -95,7 +95,7 @@ impl Results {
         all[key.name()] = made;
     }
 
-    /// One key alone.
+    /// The results with only one key.
     pub fn only(&self, key: EvaluateKey) -> Self {
         let mut one = Self::default();
         one.take_over(key, self);
@@ -110,7 +110,7 @@ impl Results {
     /// The rows of a key, if it was evaluated.
     ///
     /// # Errors
-    /// When they are those of another version.
+    /// When the rows are those of another version.
     pub fn rows<T: DeserializeOwned>(
         &self,
         key: EvaluateKey,
@@ -121,7 +121,7 @@ impl Results {
             .map_err(|error| {
                 let name = key.name();
                 anyhow!(
-                    "{name}: rows of another version ({}); wanted them made again with --only {name}",
+                    "{name}: rows of another version ({}); wanted rows that were made again with --only {name}",
                     fault(&error)
                 )
             })
@@ -133,10 +133,10 @@ impl Results {
         serde_json::from_value(made.clone()).ok()
     }
 
-    /// JSON with a row a line, so that two versions of a file can be compared.
+    /// JSON with one row on each line, so that two versions of a file can be compared.
     ///
     /// # Errors
-    /// Never for what was read or set.
+    /// Never for results that were read or set.
     pub fn to_json(&self) -> anyhow::Result<String> {
         let mut members = Vec::new();
         for (key, value) in &self.0 {
@@ -161,10 +161,10 @@ pub struct Store<'a> {
 }
 
 impl<'a> Store<'a> {
-    /// Checks that results can be kept there, before any is made.
+    /// Checks that results can be kept there, before any result is made.
     ///
     /// # Errors
-    /// When nothing can be written there, or another kind of file is there already.
+    /// When nothing can be written there, or when there is already another kind of file.
     pub fn open(path: &'a Path) -> anyhow::Result<Self> {
         let file = WholeFile::create(path).with_context(|| cannot_write(path))?;
         let device = path.exists() && !path.is_file();
@@ -177,7 +177,7 @@ impl<'a> Store<'a> {
         })
     }
 
-    /// Puts one key into the file as it is now; a device has to wait.
+    /// Puts one key into the file as it is now; for a device, this waits until the end.
     ///
     /// # Errors
     /// When the file cannot be read or written.
@@ -196,10 +196,10 @@ impl<'a> Store<'a> {
             .with_context(|| cannot_write(self.path))
     }
 
-    /// Writes what has waited.
+    /// Writes the results that have waited.
     ///
     /// # Errors
-    /// When the device does not take it.
+    /// When the device does not accept them.
     pub fn finish(self, results: &Results) -> anyhow::Result<()> {
         let Some(mut device) = self.device else {
             return Ok(());
@@ -253,7 +253,7 @@ mod tests {
     fn a_key_is_replaced_and_the_others_are_kept() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("results.json");
-        // A key that this version does not know, of a later one perhaps, is kept too.
+        // A key that this version does not know, perhaps of a later version, is kept too.
         fs::write(&path, r#"{"gapwatch": "9", "weather": [{"wet": 1}]}"#).unwrap();
         let (iou, alarms) = (EvaluateKey::LaneIou, EvaluateKey::FalseAlarms);
         for (key, drives) in [(iou, 1), (alarms, 2), (iou, 3)] {
@@ -270,7 +270,7 @@ mod tests {
                 (rows.len(), rows[0].of.drives, rows[0].default),
                 (1, drives, true)
             );
-            // Floats come back bit by bit.
+            // Floats are read back bit for bit.
             assert_eq!(rows[0].of.share, Some(0.1 + 0.2));
             assert_eq!(kept.made(key), Some(made(&format!("of {drives}"))));
         }

@@ -5,13 +5,13 @@ use std::io::{self, Write};
 /// One table.
 #[derive(Debug, Default, PartialEq)]
 pub struct Sheet {
-    /// What it shows, without a full stop.
+    /// The title, without a full stop.
     pub title: String,
     /// Headings; the first column names the rows.
     pub columns: Vec<String>,
     /// `[rows, columns]`
     pub rows: Vec<Vec<String>>,
-    /// What else is to be said, a line each.
+    /// Notes, one line each.
     pub notes: Vec<String>,
 }
 
@@ -25,7 +25,8 @@ impl Sheet {
         }
     }
 
-    /// In columns as wide as they need, the first one to the left, the others to the right.
+    /// Writes the table in columns that are as wide as needed. The first column is aligned to the left, the others to
+    /// the right.
     pub fn text(&self, out: &mut dyn Write) -> io::Result<()> {
         writeln!(out, "{}", self.title)?;
         let lines = || std::iter::once(&self.columns).chain(&self.rows);
@@ -51,7 +52,7 @@ impl Sheet {
         writeln!(out)
     }
 
-    /// As a Markdown table under a heading of the third level.
+    /// Writes a Markdown table under a heading of the third level.
     pub fn markdown(&self, out: &mut dyn Write) -> io::Result<()> {
         writeln!(out, "### {}\n", self.title)?;
         if !self.rows.is_empty() {
@@ -74,7 +75,7 @@ impl Sheet {
     }
 }
 
-/// A number with its interval, both with so many decimals.
+/// A number with its interval, both with this number of decimals.
 pub fn with_interval(value: f64, interval: Option<(f64, f64)>, decimals: usize) -> String {
     match interval {
         Some((low, high)) => {

@@ -27,13 +27,14 @@ use crate::cli::args::EvaluateArgs;
 use crate::cli::loaded_model::LoadedModel;
 
 /// What the rows mean.
-pub const ABOUT: &str = "Cost of a judged second of driving against what is missed, at thresholds for one false alarm an hour. Cost is CPU \
+pub const ABOUT: &str = "Cost of a judged second of driving, and what is missed, at thresholds for one false alarm an hour. Cost is CPU \
     time on one thread, from a camera's buffer of 1280x720 YUYV to the verdict, with all taps, on the machine that made this \
-    table. Missed: drives under a condition of severity 3 to 5 in which `Gap` was not entered until 2 s after the condition had its severity; \
-    the delay counts from its beginning, and it grows for 2 s. AUROC: failed seconds of the lane model, by the default metric and \
-    by `lane-risk`. The front is what no other point beats in cost, missed share, delay and AUROC by `lane-risk` together.";
+    table. Missed drives are drives under a condition of severity 3 to 5 in which `Gap` was not entered within 2 s after the \
+    condition had reached its severity. The condition grows for 2 s, and the delay counts from its beginning. AUROC is about failed \
+    seconds of the lane model, by the default metric and by `lane-risk`. A point is on the front if no other point is better in cost, \
+    missed share, delay and AUROC by `lane-risk` together.";
 
-/// Frames whose cost is measured, and those before them that fill buffers.
+/// Number of frames whose cost is measured, and of frames before them that fill buffers.
 const MEASURED: u32 = 60;
 const WARM_UP: u32 = 5;
 /// The camera's pictures, pixels.
@@ -41,7 +42,7 @@ const SIZE: (u32, u32) = (1280, 720);
 
 const QUICK: Sizes = Sizes::QUICK;
 
-/// Lane models in the order given; the built-in one when none is.
+/// Lane models in the order given; the built-in model if none is given.
 pub fn models(files: &[PathBuf]) -> anyhow::Result<Vec<(ModelSpec, bool)>> {
     let files: Vec<Option<&Path>> = match files {
         [] => vec![None],
@@ -63,7 +64,7 @@ pub fn models(files: &[PathBuf]) -> anyhow::Result<Vec<(ModelSpec, bool)>> {
     opened.collect()
 }
 
-/// Every point of every model.
+/// Measures every point of every model.
 pub fn rows(
     models: &[(ModelSpec, bool)],
     args: &EvaluateArgs,
@@ -92,7 +93,7 @@ pub fn rows(
     Ok(rows)
 }
 
-/// Of the ONNX file, without where it lies.
+/// Name of the ONNX file, without its folder.
 fn name_of(spec: &ModelSpec) -> String {
     let stem = Path::new(&spec.name).file_stem();
     stem.map_or_else(
@@ -101,12 +102,12 @@ fn name_of(spec: &ModelSpec) -> String {
     )
 }
 
-/// All taps, a window of 1 s, and the rate nearest to that of boards.
+/// Whether a point has all taps, a window of 1 s, and the rate that is nearest to the rate of boards.
 fn is_shipped(of: &SpeedError, taps: usize) -> bool {
     of.taps.len() == taps && (of.window_s - 1.0).abs() < 1e-9 && (of.fps - 5.0).abs() < 1e-9
 }
 
-/// CPU time of a frame, from buffer to verdict, on one thread that has nothing else to do.
+/// CPU time of a frame, from buffer to verdict, on one thread that does nothing else.
 fn frame_ms(spec: &ModelSpec) -> anyhow::Result<f64> {
     let model = LoadedModel::load_spec(spec)?;
     let reference = made_for(&model)?;
@@ -134,12 +135,12 @@ fn frame_ms(spec: &ModelSpec) -> anyhow::Result<f64> {
     Ok((thread_cpu_time().saturating_sub(before) / MEASURED).as_secs_f64() * 1e3)
 }
 
-/// Seeds of what is rendered.
+/// The seeds of what is rendered.
 pub fn seeds(quick: bool) -> String {
     lane_failure::seeds_of(if quick { QUICK } else { SIZES })
 }
 
-/// One table, cheapest first.
+/// One table, with the cheapest point first.
 pub fn sheets(rows: &[Row<SpeedError>]) -> Vec<Sheet> {
     let points: Vec<SpeedError> = rows.iter().map(|row| row.of.clone()).collect();
     let on_front = front(&points);
@@ -170,7 +171,7 @@ pub fn sheets(rows: &[Row<SpeedError>]) -> Vec<Sheet> {
         let of = &points[index];
         let percent = |share: f64| 100.0 * share;
         let (low, high) = of.missed_interval;
-        // A few hours, a few entries.
+        // There are few hours and few entries.
         #[allow(clippy::cast_precision_loss)]
         let an_hour = of.false_alarms as f64 / of.nominal_hours.max(f64::MIN_POSITIVE);
         let mark = match (on_front[index], rows[index].default) {
@@ -202,7 +203,8 @@ pub fn sheets(rows: &[Row<SpeedError>]) -> Vec<Sheet> {
     vec![sheet]
 }
 
-/// The point that misses least at a cost of at most so many percent of one core, in words; of several the cheapest.
+/// Describes the point that misses least at a cost of at most `percent` of one core; of several such points, the
+/// cheapest one.
 pub fn within(rows: &[Row<SpeedError>], percent: f64) -> anyhow::Result<String> {
     let affordable = rows.iter().filter(|row| row.of.second_ms <= 10.0 * percent);
     let best = affordable.min_by(|a, b| {
@@ -231,7 +233,7 @@ pub fn within(rows: &[Row<SpeedError>], percent: f64) -> anyhow::Result<String> 
     ))
 }
 
-/// Every point by cost and missed share, a colour a model; those on the front are filled.
+/// Draws every point by cost and missed share, in one colour for each model. Points on the front are filled.
 pub fn plot(rows: &[Row<SpeedError>], path: &Path) -> anyhow::Result<()> {
     let points: Vec<SpeedError> = rows.iter().map(|row| row.of.clone()).collect();
     let mut svg = String::new();

@@ -12,12 +12,12 @@ use crate::cli::args::EvaluateArgs;
 pub struct Watched {
     pub encoder: Encoder,
     pub reference: Reference,
-    /// The reference inside the program, on the look that it is made of.
+    /// Whether it is the reference inside the program, on the look from which it is made.
     pub default: bool,
 }
 
 impl Watched {
-    /// Opens model and reference; a reference of another model is refused.
+    /// Opens model and reference. A reference of another model is refused.
     pub fn open(args: &EvaluateArgs) -> anyhow::Result<Self> {
         let reference = Reference::read(args.reference.as_deref())?;
         let name = args
@@ -27,7 +27,7 @@ impl Watched {
         let model = match args.model.as_slice() {
             [] => None,
             [one] => Some(one.as_path()),
-            _ => bail!("a reference is of one model; wanted one --model, or --only lane_iou"),
+            _ => bail!("a reference belongs to one model; wanted one --model, or --only lane_iou"),
         };
         let spec = ModelSpec::new(model, ModelOptions::default())?;
         let encoder = Encoder::load(&spec)?;
@@ -39,7 +39,7 @@ impl Watched {
         })
     }
 
-    /// How many times as far from their medians the thresholds for a rate lie as those of the reference.
+    /// Factor from the reference's distances between median and threshold to those for another rate.
     pub fn factor_for(&self, per_hour: f64) -> anyhow::Result<f64> {
         let alarms = &self.reference.false_alarms;
         let rates = &alarms.factors;

@@ -1,0 +1,66 @@
+//! Values that several commands take, and how they are read.
+
+use std::fmt::Display;
+use std::ops::RangeInclusive;
+use std::str::FromStr;
+
+use clap::ValueEnum;
+use gapwatch::reference::{WINDOW_S_MAX, WINDOW_S_MIN};
+
+/// How sources are named, for the help of every command that takes a source.
+pub const SOURCES: &str = "Sources (put them in quotes, because shells interpret ? and &):
+  scene:sim[?seed=7&seconds=60&fps=10&condition=fog:3@20-40]   rendered drive; fog of severity 3 at 20 s, gone at 40 s;
+                                                               also size=WxH, without=ELEMENT; looks sim-realistic, game
+  random:[seed=1&frames=60]                                    random pixels
+  DIR[?fps=10]                                                 folder of PNG or JPEG images in the order of their
+                                                               names, 10 a second unless ?fps= gives another rate
+  FILE                                                         one image, or a video (through ffmpeg)
+  FILE.mcap[?topic=/camera]                                    recording with images of ROS 2 or Foxglove: the topic
+                                                               that ?topic= names, or its only topic with images";
+
+/// How a measurement is written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum TableFormat {
+    Table,
+    Json,
+}
+
+pub fn numbers<T: FromStr, const N: usize>(text: &str) -> Result<[T; N], String> {
+    let numbers: Option<Vec<T>> = text
+        .split(',')
+        .map(|number| number.trim().parse().ok())
+        .collect();
+    numbers
+        .and_then(|numbers| numbers.try_into().ok())
+        .ok_or_else(|| format!("wanted {N} numbers, separated by commas"))
+}
+
+pub fn seconds(text: &str) -> Result<f64, String> {
+    let range = WINDOW_S_MIN..=WINDOW_S_MAX;
+    let seconds = text.parse().ok().filter(|s| range.contains(s));
+    seconds.ok_or_else(|| format!("wanted seconds from {WINDOW_S_MIN} to {WINDOW_S_MAX}"))
+}
+
+pub fn rate(text: &str) -> Result<f64, String> {
+    let rate = text.parse().ok().filter(|r| (1e-6..=3_600.0).contains(r));
+    rate.ok_or_else(|| "wanted entries an hour from 0.000001 to 3600".to_owned())
+}
+
+/// Parses a whole number in a range; the error says what was wanted.
+pub fn whole<T>(
+    range: RangeInclusive<T>,
+) -> impl Fn(&str) -> Result<T, String> + Clone + Send + Sync
+where
+    T: FromStr + PartialOrd + Display + Clone + Send + Sync + 'static,
+{
+    move |text| {
+        let number = text.parse().ok().filter(|number| range.contains(number));
+        number.ok_or_else(|| {
+            format!(
+                "wanted a whole number from {} to {}",
+                range.start(),
+                range.end()
+            )
+        })
+    }
+}
