@@ -1,12 +1,11 @@
-//! The last step of the chain: what the monitor says, as frames on a CAN bus.
+//! The last step of the chain: what the monitor reports, as frames on a CAN bus.
 //!
 //! `GapStatus, GapHealth -> 8 bytes -> schedule -> counter and CRC -> WarningSink`
 //!
-//! Owns the messages (`can/gapwatch.dbc` is their single source, the code that packs the bits is
-//! generated from it), their E2E protection, their timing, and the log that takes the place of a
-//! bus on a desk. Refuses to judge: it sends what it is told, and a value that is not known is
-//! sent as not available, never as a good value. It has no clock, time is passed in as the time
-//! since the start of the drive, and only `bus` opens a socket.
+//! It defines the messages (`can/gapwatch.dbc` is their single source, from which the code that packs the bits is
+//! generated), their E2E protection, their timing, and the log that replaces a bus on a desk. It does not judge: it
+//! sends what it is given, and a value that is not known is sent as not available, and never as a good value. It has no
+//! clock: time is an argument, measured from the start of the drive. Only `bus` opens a socket.
 
 mod frame;
 

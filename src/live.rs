@@ -1,4 +1,4 @@
-//! The live loop: what happens between a camera that does not wait, a judge that takes its time, and a bus with a cycle.
+//! The live loop: what happens between a camera that does not wait, a judge that needs time, and a bus with a cycle.
 //!
 //! ```text
 //! frames ──► newest ──► judging ──words──► teller ──► bus, journal, recording
@@ -6,9 +6,10 @@
 //!                          └──────orders──────┘        parked, clear
 //! ```
 //!
-//! [`judging::Judging`] is what the judge's thread knows, [`teller::Teller`] what the teller's does. Both are state machines:
-//! time comes in as an argument, and the threads and clocks around them are the command's. A test plays hours of scripts through
-//! them in seconds. A replay tells the same [`outputs::Outputs`], with the drive's time for a clock.
+//! [`judging::Judging`] is the state of the judge's thread, and [`teller::Teller`] is the state of the teller's thread.
+//! Both are state machines: time comes in as an argument, and the threads and clocks around them belong to the command.
+//! A test plays hours of scripts through them in seconds. A replay reports to the same [`outputs::Outputs`], with the
+//! drive's time as the clock.
 
 pub mod board;
 
@@ -26,32 +27,32 @@ use std::time::Duration;
 
 use crate::monitor::judge::Verdict;
 
-/// How often the bus is looked after: half of the shortest time between two frames of `GapStatus`.
+/// Time between two rounds of serving the bus: half of the shortest time between two frames of `GapStatus`.
 pub const TICK: Duration = Duration::from_millis(10);
-/// How long the judge waits for a frame before it looks at the clock.
+/// How long the judge waits for a frame before it reads the clock.
 pub const JUDGE_WAITS: Duration = Duration::from_millis(50);
 
-/// What the judge says to the teller.
-// A verdict is most of what is said, and a box would be a request for memory a frame.
+/// A message from the judge to the teller.
+// Most messages are verdicts, and a box would request memory for each frame.
 #[allow(clippy::large_enum_variant)]
 #[derive(Clone, Debug, PartialEq)]
 pub enum Word {
-    /// What is known.
+    /// A verdict.
     Verdict {
         /// The verdict.
         verdict: Verdict,
-        /// Frames that came so far and were never judged.
+        /// Number of frames so far that came and were never judged.
         dropped: u64,
     },
-    /// A request to clear the stored bit was obeyed, or refused.
+    /// A request to clear the stored bit was accepted (true) or refused.
     Cleared(bool),
 }
 
-/// What the teller says to the judge.
+/// Orders from the teller to the judge.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Orders {
-    /// The car is parked: nobody is to look.
+    /// The car is parked: no frame is to be judged.
     pub parked: bool,
-    /// A request to clear the stored bit was heard.
+    /// A request to clear the stored bit was received.
     pub clear: bool,
 }

@@ -1,4 +1,4 @@
-//! What is kept of a drive: a line a frame, and the pictures around its alarms.
+//! What is kept of a drive: a line for each frame, and the pictures around its alarms.
 
 pub mod journal;
 

@@ -1,14 +1,14 @@
-//! A CAN socket of Linux in the place of the log.
+//! A CAN socket of Linux.
 //!
-//! Owns the sockets: they never block, and are opened again when the interface comes back. Refuses to give up: a bus that
-//! is down, full, unplugged or off refuses frames, and the sender offers newer ones. In bus-off the kernel goes on
-//! taking frames and loses them, so nothing is written then. How the controller stands is heard from its error frames and
-//! asked for over netlink.
+//! It manages the sockets: they never block, and are opened again when the interface comes back. It never gives up: a
+//! bus that is down, full, unplugged or off refuses frames, and the sender offers newer ones. In bus-off the kernel
+//! would still accept frames and lose them, so nothing is written then. The state of the controller comes from its
+//! error frames and from netlink.
 //!
-//! A frame in the kernel's queue cannot be taken back, and grows old there while nobody acknowledges. So one frame at a time
-//! is handed over: where the driver echoes what it has sent (`IFF_ECHO`), the next one when the echo of the one before was
-//! heard; elsewhere as long as the socket's send buffer, made as small as Linux allows, is less than half full, which is two
-//! to three frames.
+//! A frame in the kernel's queue cannot be taken back, and becomes old there while no other node acknowledges.
+//! Therefore one frame at a time is handed over. If the driver echoes the frames that it has sent (`IFF_ECHO`), the
+//! next frame is written after the echo of the one before was received. Otherwise it is written as long as the socket's
+//! send buffer, made as small as Linux allows, is less than half full, which is two to three frames.
 
 use std::fs;
 use std::io;
@@ -30,20 +30,21 @@ use super::{BusState, CanFrame, LARGEST_ID, SinkError, WarningSink};
 /// Time between two attempts to open a socket on an interface that has gone.
 const REOPEN: Duration = Duration::from_millis(200);
 
-/// Time between two questions over netlink how the controller stands.
+/// Time between two requests over netlink for the state of the controller.
 const ASK: Duration = Duration::from_secs(1);
 
-/// An echo that has not come for this long was lost, unless the controller says that nobody acknowledges. Long enough for any
-/// queue that moves.
+/// An echo that has not come for this long was lost, unless the controller reports that no node acknowledges. It is
+/// long enough for any queue that moves.
 const ECHO_LOST: Duration = Duration::from_secs(5);
-/// Frames of others on our identifiers that are remembered until they are asked for.
+/// Largest number of frames of other nodes on our identifiers that are kept until they are asked for.
 const FOREIGN_MAX: usize = 4;
-/// Bit of an interface's flags that says that its driver echoes what it has sent (`linux/if.h`).
+/// Bit of an interface's flags that says that its driver echoes the frames that it has sent (`linux/if.h`).
 const IFF_ECHO: u32 = 1 << 18;
 /// Level and name of the option for the size of a socket's send buffer (`asm-generic/socket.h`).
 const SEND_BUFFER: (i32, i32) = (1, 7);
 
-/// Kinds of error frames that are listened for, and what the second data byte of a controller's says (`linux/can/error.h`).
+/// Kinds of error frames that are received, and the meaning of the second data byte of a controller's error frame
+/// (`linux/can/error.h`).
 const CONTROLLER: u32 = 0x04;
 const BUS_OFF: u32 = 0x40;
 const RESTARTED: u32 = 0x100;
@@ -51,19 +52,19 @@ const NEAR_WARNING: u8 = 0x04 | 0x08;
 const NEAR_PASSIVE: u8 = 0x10 | 0x20;
 const ACTIVE: u8 = 0x40;
 
-/// Bits of a socket's filter that tell extended and remote frames from standard data frames (`linux/can.h`).
+/// Bits of a socket's filter that distinguish extended and remote frames from standard data frames (`linux/can.h`).
 const NOT_STANDARD_DATA: u32 = 0xC000_0000;
 
-/// Which identifiers a socket hears.
+/// The identifiers that a socket receives.
 #[derive(Clone, Debug)]
 pub struct Heard {
-    /// Those that others send.
+    /// Identifiers that other nodes send.
     pub others: Vec<u16>,
-    /// Those that we send.
+    /// Identifiers that the monitor sends.
     pub own: Vec<u16>,
 }
 
-/// Sends to an interface and hears the frames with some identifiers.
+/// Sends to an interface, and receives the frames with some identifiers.
 pub struct SocketSink {
     /// As the user gave it, for messages.
     name: String,
@@ -72,26 +73,26 @@ pub struct SocketSink {
     fd: bool,
     sockets: Option<Sockets>,
     in_flight: Option<InFlight>,
-    /// Frames of others that were found among the echoes of ours.
+    /// Frames of other nodes that were found among the echoes of our frames.
     foreign: Deque<CanFrame, FOREIGN_MAX>,
-    /// How the controller stands by netlink.
+    /// State of the controller from netlink.
     answers: Receiver<Option<BusState>>,
-    /// Drive time before which the sockets are not opened again, and a bus that is off is not looked at again.
+    /// Drive time before which the sockets are not opened again, and a bus that is off is not checked again.
     reopen_at: Duration,
     state: BusState,
 }
 
 /// What is open while the interface is there.
 struct Sockets {
-    /// Hears what others say, and how the controller stands.
+    /// Receives frames of other nodes, and the state of the controller.
     others: CanSocket,
-    /// Sends, and hears what is said on our own identifiers.
+    /// Sends, and receives frames with our own identifiers.
     own: Own,
     /// Whether frames come back when they have left.
     echoes: bool,
 }
 
-/// A socket of what the interface can send.
+/// A socket for the kind of frames that the interface can send.
 enum Own {
     Classic(CanSocket),
     Fd(CanFdSocket),
@@ -105,8 +106,8 @@ struct InFlight {
 }
 
 impl SocketSink {
-    /// Opens `interface`, which may be down but must be there, and hears the identifiers `heard`; with `fd` it must be able
-    /// to send frames of CAN FD.
+    /// Opens `interface`, which may be down but must exist, and receives the identifiers `heard`. With `fd`, it must be
+    /// able to send frames of CAN FD.
     ///
     /// # Errors
     /// [`SinkError::Open`] when there is no such CAN interface, or it has no CAN FD.
@@ -137,7 +138,7 @@ impl SocketSink {
 
     fn write(&mut self, at: Duration, id: u16, data: &[u8], fd: bool) -> io::Result<()> {
         if self.state == BusState::Off {
-            let off = || io::Error::other("it is off the bus after too many errors");
+            let off = || io::Error::other("the controller is in bus-off after too many errors");
             if at < self.reopen_at {
                 return Err(off());
             }
@@ -177,7 +178,8 @@ impl SocketSink {
         taken
     }
 
-    /// Hears the echoes of our frames; what others send on our identifiers is kept for [`WarningSink::receive`].
+    /// Receives the echoes of our frames. Frames of other nodes on our identifiers are kept for
+    /// [`WarningSink::receive`].
     fn hear_own(&mut self) {
         let Some(sockets) = &self.sockets else {
             self.in_flight = None;
@@ -190,13 +192,13 @@ impl SocketSink {
                     if self.in_flight.as_ref().is_some_and(is_ours) {
                         self.in_flight = None;
                     } else if let Some(id) = StandardId::new(id) {
-                        // One of many is enough to complain.
+                        // One of many is enough for an error message.
                         let _ = self.foreign.push_back(classic(id, &data));
                     }
                 }
                 Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
                 Err(error) if error.kind() == io::ErrorKind::WouldBlock => return,
-                // An interface that goes down or away forgets what it was to send.
+                // An interface that goes down or disappears loses the frames that it was to send.
                 Err(_) => {
                     self.in_flight = None;
                     return;
@@ -207,7 +209,7 @@ impl SocketSink {
 
     fn hear_answers(&mut self) {
         while let Ok(answer) = self.answers.try_recv() {
-            // An answer may be older than the error frame that told of bus-off.
+            // An answer may be older than the error frame that reported bus-off.
             let is_old = self.state == BusState::Off && carrier(&self.interface) == Some(false);
             if let Some(state) = answer.filter(|_| !is_old) {
                 self.hear_state(state);
@@ -223,8 +225,9 @@ impl SocketSink {
     }
 }
 
-/// Asks the kernel how the controller stands, now and then, for as long as somebody hears the answers; on a thread of its own,
-/// since the kernel lets who asks wait for whoever sets up any interface. A virtual bus has no controller.
+/// Asks the kernel regularly for the state of the controller, as long as the answers have a receiver. This runs on a
+/// thread of its own, because the kernel makes it wait while any program sets up any interface. A virtual bus has no
+/// controller.
 fn ask(interface: &str) -> io::Result<Receiver<Option<BusState>>> {
     let (sender, answers) = channel();
     let interface = interface.to_owned();
@@ -235,7 +238,7 @@ fn ask(interface: &str) -> io::Result<Receiver<Option<BusState>>> {
             Ok(Some(CanState::ErrorWarning)) => Some(BusState::Warning),
             Ok(Some(CanState::ErrorPassive)) => Some(BusState::Passive),
             Ok(Some(CanState::BusOff)) => Some(BusState::Off),
-            // Down or asleep, or the interface has gone: sending finds that out.
+            // The interface is down, asleep or gone: sending will detect that.
             Ok(Some(CanState::Stopped | CanState::Sleeping) | None) | Err(_) => None,
         };
         if sender.send(answer).is_err() {
@@ -249,13 +252,14 @@ fn ask(interface: &str) -> io::Result<Receiver<Option<BusState>>> {
     Ok(answers)
 }
 
-/// Whether the interface has a carrier: without one its controller is off the bus. `None` when it is down or gone.
+/// Whether the interface has a carrier; without it, its controller is in bus-off. `None` if the interface is down or
+/// gone.
 fn carrier(interface: &str) -> Option<bool> {
     let said = fs::read_to_string(format!("/sys/class/net/{interface}/carrier"));
     said.ok().map(|said| said.trim() == "1")
 }
 
-/// What an error frame says of the controller, if it says anything.
+/// What an error frame says about the controller, if it says anything.
 fn state_of(frame: &CanErrorFrame) -> Option<BusState> {
     let bits = frame.error_bits();
     let controller = frame
@@ -343,12 +347,13 @@ impl Sockets {
             Own::Classic(socket) => PollFd::new(socket, PollFlags::OUT),
         }];
         let now = Timespec::default();
-        // Of an interface that is down, writing tells more.
+        // For an interface that is down, writing returns a better error.
         !matches!(poll(&mut own, Some(&now)), Ok(0))
     }
 }
 
-/// A frame as it is heard. A shorter one ends in ones: what lies beyond its end is not known, and never a speed of 0.
+/// A received frame. A shorter one is filled up with ones, because the bits after its end are not known, and must not
+/// become a speed of 0.
 fn classic(id: StandardId, data: &[u8]) -> CanFrame {
     let mut whole = [0xFF; 8];
     whole
@@ -361,7 +366,7 @@ fn classic(id: StandardId, data: &[u8]) -> CanFrame {
     }
 }
 
-/// Whether the interface's driver says when a frame has left.
+/// Whether the interface's driver reports when a frame has left.
 fn echoes(interface: &str) -> bool {
     let flags = fs::read_to_string(format!("/sys/class/net/{interface}/flags"));
     let flags = flags.ok().and_then(|flags| {
@@ -371,7 +376,7 @@ fn echoes(interface: &str) -> bool {
     flags.is_some_and(|flags| flags & IFF_ECHO != 0)
 }
 
-/// Never blocks, and hears standard data frames of these identifiers alone.
+/// Sets up a socket that never blocks, and that receives only standard data frames with these identifiers.
 fn set_up<S: Socket + SocketOptions>(socket: S, heard: &[u16]) -> io::Result<S> {
     socket.set_nonblocking(true)?;
     let mask = u32::from(LARGEST_ID) | NOT_STANDARD_DATA;
@@ -381,7 +386,7 @@ fn set_up<S: Socket + SocketOptions>(socket: S, heard: &[u16]) -> io::Result<S> 
     Ok(socket)
 }
 
-/// Hears its own frames where they come back when they have left, and lets as few as possible wait.
+/// Sets up a socket that receives its own frames if they are echoed, and that lets as few frames as possible wait.
 fn set_up_own<S: SocketOptions>(socket: S, echoes: bool) -> io::Result<S> {
     socket.set_error_filter_drop_all()?;
     socket.set_recv_own_msgs(echoes)?;
@@ -395,7 +400,7 @@ fn has_fd(interface: &str) -> io::Result<()> {
     let mtu = fs::read_to_string(format!("/sys/class/net/{interface}/mtu"));
     if mtu.is_ok_and(|mtu| mtu.trim() == CLASSIC) {
         return Err(io::Error::other(
-            "it has no CAN FD; wanted `ip link set IFACE type can ... fd on` (of a virtual one `ip link set IFACE mtu 72`), or no fd = true in [can]",
+            "it has no CAN FD; wanted `ip link set IFACE type can ... fd on` (for a virtual interface `ip link set IFACE mtu 72`), or no fd = true in [can]",
         ));
     }
     Ok(())
@@ -423,7 +428,10 @@ impl WarningSink for SocketSink {
         self.hear_own();
         let old = |sent: &InFlight| now.saturating_sub(sent.since) >= ECHO_LOST;
         if self.in_flight.as_ref().is_some_and(old) && self.state != BusState::Passive {
-            log::warn!("{}: it did not say that a frame has left", self.name);
+            log::warn!(
+                "{}: its driver did not report that a frame has left",
+                self.name
+            );
             self.in_flight = None;
         }
         let has_room = self.sockets.as_ref().is_none_or(Sockets::has_room);
@@ -444,7 +452,7 @@ impl WarningSink for SocketSink {
             match self.sockets.as_ref()?.others.read_frame() {
                 Ok(socketcan::CanFrame::Error(frame)) => {
                     if frame.error_bits() & (BUS_OFF | RESTARTED) != 0 {
-                        // The controller forgets what it was to send.
+                        // The controller loses the frames that it was to send.
                         self.in_flight = None;
                     }
                     if let Some(state) = state_of(&frame) {
@@ -457,7 +465,7 @@ impl WarningSink for SocketSink {
                     }
                 }
                 Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
-                // Nothing there, or an interface that is down: what to do about that is found out by sending.
+                // There is no frame, or the interface is down: sending will detect that.
                 Err(_) => return None,
             }
         }
@@ -503,7 +511,7 @@ mod tests {
 
     #[test]
     fn while_the_interface_is_away_frames_of_both_kinds_are_refused() {
-        // So their counters stand still.
+        // So their counters do not change.
         for state in [BusState::Unknown, BusState::Off] {
             let (_, answers) = channel();
             let mut sink = SocketSink {

@@ -1,7 +1,7 @@
-//! What lies behind a verdict, for who wants to look closer: message `GapDetail`, on buses with CAN FD only.
+//! The details of a verdict: message `GapDetail`, only on buses with CAN FD.
 //!
-//! Owns the message and its cycle. Refuses to wait: a frame that the bus does not take is given up, since the next one says
-//! more.
+//! It defines the message and its cycle. It does not wait: a frame that the bus does not accept is dropped, because the
+//! next frame is newer.
 
 use std::time::Duration;
 
@@ -15,27 +15,27 @@ use crate::features::image_quality::ImageQuality;
 pub const LENGTH: usize = 24;
 /// A share of 1 on the bus.
 const SHARE_STEP: f64 = 0.005;
-/// Largest code of a share, below that for not available.
+/// Largest code of a share; the next one means not available.
 const LARGEST: u8 = 254;
 const NOT_AVAILABLE: u8 = 255;
 const FINE_SCORE_STEP: f64 = 0.001;
 /// Code of a fine score that is not available.
 const NO_SCORE: i16 = i16::MIN;
 
-/// What lies behind a verdict.
+/// The details of a verdict.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct GapDetail {
-    /// Frames in the detector's window; on the bus 254 at most.
+    /// Frames in the detector's window; on the bus at most 254.
     pub window_frames: Option<usize>,
-    /// Place of the nominal domain that the window lies nearest to in the reference, from 0; on the bus 254 at most.
+    /// Index in the reference of the nominal domain that is nearest to the window, from 0; on the bus at most 254.
     pub nominal_domain: Option<usize>,
-    /// How far the scores have added up, 1 is a drift.
+    /// How far the scores have added up; 1 is a drift.
     pub drift: Option<f64>,
     /// How good the picture was. Shares of 1, on the bus 0 to 127 % in steps of 0.5 %.
     pub quality: Option<ImageQuality>,
     /// Similarity of each tap, 1 for equal.
     pub similarities: [Option<f64>; 3],
-    /// Score of each tap, in finer steps than `GapStatus` has and below 0 too: -32.767 to 32.767.
+    /// Score of each tap, in finer steps than in `GapStatus` and also below 0: -32.767 to 32.767.
     pub scores: [Option<f64>; 3],
 }
 
@@ -101,7 +101,7 @@ impl DetailSender {
         })
     }
 
-    /// Sends `detail` if it is time.
+    /// Sends `detail` if it is due.
     ///
     /// # Errors
     /// The refusal of the sink.
@@ -163,7 +163,7 @@ mod tests {
         assert_eq!(bytes[12..18], [0xFF, 0x7F, 0x01, 0x80, 0x00, 0x80]);
     }
 
-    /// Takes every second frame.
+    /// Accepts every second frame.
     #[derive(Default)]
     struct Bus {
         offered: usize,

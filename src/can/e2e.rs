@@ -1,9 +1,8 @@
 //! End-to-end protection of the frames: AUTOSAR E2E profile 11, data id mode BOTH.
 //!
-//! Byte 0 is a CRC-8 (polynomial 0x1D, start 0x00, xor 0x00) over data id low byte, data id high
-//! byte and byte 1 to the last; the low nibble of byte 1 is a counter that runs 0 to 14. The bytes are
-//! those of profile 1 as well. Owns the counters. Refuses to watch for silence: a receiver that
-//! hears nothing must see that for itself.
+//! Byte 0 is a CRC-8 (polynomial 0x1D, start 0x00, xor 0x00) over data id low byte, data id high byte and byte 1 to the
+//! last; the low nibble of byte 1 is a counter that runs 0 to 14. The bytes are the same as in profile 1. It manages
+//! the counters. It does not detect silence: a receiver must detect that itself.
 
 use autosar_e2e::profile11::{Profile11, Profile11Config, Profile11IdMode};
 use autosar_e2e::{E2EProfile, E2EStatus};
@@ -12,8 +11,8 @@ use thiserror::Error;
 /// Largest counter; the next one is 0, and 15 is invalid.
 pub const LARGEST_COUNTER: u8 = 14;
 
-/// Largest step of the counter that a receiver accepts: two frames in a row may be lost. Our own
-/// choice, the standard leaves it open.
+/// Largest step of the counter that a receiver accepts: two frames in a row may be lost. This is our own choice; the
+/// standard leaves it open.
 pub const LARGEST_STEP: u8 = 3;
 
 fn profile(data_id: u16, length: usize) -> Profile11 {
@@ -28,25 +27,25 @@ fn profile(data_id: u16, length: usize) -> Profile11 {
     .expect("a layout that profile 11 allows")
 }
 
-/// Protects the frames of one message, `LENGTH` bytes each: at most 30, what the profile allows.
+/// Protects the frames of one message, `LENGTH` bytes each: at most 30, which is the limit of the profile.
 #[derive(Clone)]
 pub struct E2eSender<const LENGTH: usize = 8> {
     profile: Profile11,
 }
 
 impl<const LENGTH: usize> E2eSender<LENGTH> {
-    /// The first frame has the counter 0.
+    /// A sender whose first frame has the counter 0.
     pub fn new(data_id: u16) -> Self {
         Self {
             profile: profile(data_id, LENGTH),
         }
     }
 
-    /// Writes counter and CRC into `data` and offers it to `send`. The counter moves on only when
-    /// `send` takes the bytes, so a receiver sees no hole where a write failed.
+    /// Writes counter and CRC into `data` and offers it to `send`. The counter is incremented only if `send` accepts
+    /// the bytes, so a receiver sees no jump after a failed write.
     ///
     /// # Errors
-    /// What `send` answers.
+    /// The error of `send`.
     pub fn protect<E>(
         &mut self,
         mut data: [u8; LENGTH],
@@ -63,9 +62,9 @@ impl<const LENGTH: usize> E2eSender<LENGTH> {
 /// How an accepted frame follows the one before.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Sequence {
-    /// The first one heard.
+    /// The first frame received.
     First,
-    /// The next one.
+    /// The next frame in sequence.
     Next,
     /// Up to [`LARGEST_STEP`] - 1 frames are missing before it.
     SomeLost,
@@ -74,14 +73,14 @@ pub enum Sequence {
 /// Why a frame is refused.
 #[derive(Clone, Copy, Debug, Error, PartialEq, Eq)]
 pub enum E2eError {
-    /// The CRC does not fit: damaged, or another message.
-    #[error("the CRC does not fit the frame and its data id")]
+    /// The CRC is wrong: the frame is damaged, or belongs to another message.
+    #[error("the CRC does not match the frame and its data id")]
     Corrupt,
     /// The counter is 15.
     #[error("the counter is 15, which is invalid")]
     InvalidCounter,
     /// The counter has not moved.
-    #[error("the counter {0} came twice")]
+    #[error("the counter {0} was received twice")]
     Repeated(u8),
     /// The counter jumped by more than [`LARGEST_STEP`].
     #[error("the counter jumped from {from} to {to}")]
@@ -101,7 +100,7 @@ pub struct E2eReceiver<const LENGTH: usize = 8> {
 }
 
 impl<const LENGTH: usize> E2eReceiver<LENGTH> {
-    /// Accepts any valid counter in the first frame.
+    /// A receiver that accepts any valid counter in the first frame.
     pub fn new(data_id: u16) -> Self {
         Self {
             profile: profile(data_id, LENGTH),
@@ -118,8 +117,8 @@ impl<const LENGTH: usize> E2eReceiver<LENGTH> {
         if self.profile.check(data) == Ok(E2EStatus::CrcError) {
             return Err(E2eError::Corrupt);
         }
-        // The counter is judged here: the crate takes 15 for a number like any other, and a
-        // receiver that joins in the middle for one that has missed frames since 0.
+        // The counter is checked here, because the crate accepts 15 like any other number, and because it treats a
+        // receiver that joins later as one that has missed frames since 0.
         let to = data[1] & 0x0F;
         if to > LARGEST_COUNTER {
             return Err(E2eError::InvalidCounter);

@@ -1,4 +1,4 @@
-//! A frame, and what takes frames.
+//! A frame, and the trait of what accepts frames.
 
 use std::io;
 use std::time::Duration;
@@ -17,68 +17,68 @@ pub struct CanFrame {
     pub data: [u8; 8],
 }
 
-/// How the controller stands on its bus, after ISO 11898-1.
+/// State of the controller on its bus, after ISO 11898-1.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum BusState {
-    /// It has not said.
+    /// The state is not known.
     #[default]
     Unknown,
-    /// It takes part.
+    /// The controller takes part (error active).
     Active,
-    /// It takes part, and has counted many errors.
+    /// The controller takes part, and has counted many errors.
     Warning,
-    /// It may no longer report errors: nobody acknowledges, or the bus is disturbed.
+    /// The controller may no longer report errors: no node acknowledges, or the bus is disturbed.
     Passive,
-    /// It is off the bus, and what is written is lost.
+    /// The controller is in bus-off, and what is written is lost.
     Off,
 }
 
-/// Takes frames: a bus, a log or nothing at all.
+/// Accepts frames: a bus, a log or nothing at all.
 pub trait WarningSink {
-    /// Takes one frame, due at `at` since the start of the drive.
+    /// Writes one frame, due at `at` since the start of the drive.
     ///
     /// # Errors
-    /// When the frame was not taken; the same frame may be offered again.
+    /// When the frame was not accepted; the same frame may be offered again.
     fn send(&mut self, at: Duration, frame: &CanFrame) -> Result<(), SinkError>;
 
-    /// Takes one CAN FD frame of at most 64 bytes with a standard identifier, at `at` since the start of the drive. What has
-    /// no CAN FD lets it go.
+    /// Writes one CAN FD frame of at most 64 bytes with a standard identifier, at `at` since the start of the drive. A
+    /// sink without CAN FD drops it.
     ///
     /// # Errors
-    /// When the frame was not taken.
+    /// When the frame was not accepted.
     fn send_fd(&mut self, _at: Duration, _id: u16, _data: &[u8]) -> Result<(), SinkError> {
         Ok(())
     }
 
-    /// Whether the frames that were sent have left this computer, as far as that is known: one that is handed over before
-    /// would wait behind them, and grow old. Never blocks.
+    /// Whether the frames that were sent have left this computer, as far as that is known. A frame that is written
+    /// before would wait behind them and become old. Never blocks.
     fn is_ready(&mut self, _now: Duration) -> bool {
         true
     }
 
-    /// A frame that came over the bus and waits, if there is one. Never blocks.
+    /// The next frame received from the bus, if there is one. Never blocks.
     fn receive(&mut self) -> Option<CanFrame> {
         None
     }
 
-    /// How the controller stands, as far as it was heard by [`receive`](Self::receive).
+    /// State of the controller, as far as [`receive`](Self::receive) has learned it.
     fn bus_state(&self) -> BusState {
         BusState::Unknown
     }
 
-    /// Ends the output, after the last frame; without it a log file is not put in place.
+    /// Ends the output after the last frame. Without this call, a log file is not put in place.
     ///
     /// # Errors
-    /// When frames taken before cannot be kept.
+    /// When frames that were accepted before cannot be kept.
     fn finish(self: Box<Self>) -> Result<(), SinkError> {
         Ok(())
     }
 }
 
-/// A sink that cannot do its work; `sink` is the path or interface as the user gave it.
+/// An error of a sink; `sink` is the path or interface as the user gave it.
 #[derive(Debug, Error)]
 pub enum SinkError {
-    /// It cannot be opened or created.
+    /// The sink cannot be opened or created.
     #[error("cannot open the CAN sink {sink}")]
     Open {
         /// Path or interface.
@@ -86,7 +86,7 @@ pub enum SinkError {
         /// What the system answered.
         source: io::Error,
     },
-    /// It did not take a frame.
+    /// A frame could not be written.
     #[error("cannot write a frame to the CAN sink {sink}")]
     Write {
         /// Path or interface.
@@ -94,15 +94,15 @@ pub enum SinkError {
         /// What the system answered.
         source: io::Error,
     },
-    /// A bus did not take a frame now, and may take it later: down, full or unplugged.
-    #[error("the bus {sink} takes no frame")]
+    /// A bus that is down, full or unplugged did not accept a frame, but may accept it later.
+    #[error("the bus {sink} accepts no frame")]
     Refused {
         /// Interface.
         sink: String,
         /// What the system answered.
         source: io::Error,
     },
-    /// It cannot be completed.
+    /// The log cannot be completed.
     #[error("cannot put the CAN log {sink} in place")]
     Finish {
         /// Path or interface.

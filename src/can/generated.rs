@@ -1,4 +1,4 @@
-//! Generated at build time from `can/gapwatch.dbc`; the style is the generator's.
+//! Generated at build time from `can/gapwatch.dbc`, in the style of the generator.
 #![allow(
     clippy::cast_possible_truncation,
     clippy::cast_sign_loss,
@@ -6,7 +6,7 @@
     clippy::too_many_arguments
 )]
 
-/// What the DBC says of a message beyond its signals; filled by the generated code.
+/// What the DBC says about a message beyond its signals; filled in by the generated code.
 pub struct MessageAttributes {
     pub data_id: u16,
     pub cycle_ms: u64,

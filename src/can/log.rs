@@ -1,7 +1,7 @@
-//! A log in the place of a bus: candump log format, one frame a line.
+//! A log that replaces a bus: candump log format, one frame on each line.
 //!
-//! `(0000000012.300000) can0 5D0#0011223344556677`, the time being that of the drive in seconds.
-//! Owns the lines. Of a replay the file appears when it is finished; of a live run every line is there as it is sent.
+//! `(0000000012.300000) can0 5D0#0011223344556677`, where the time is that of the drive in seconds. In a replay, the
+//! file appears when it is finished. In a live run, every line is in the file as soon as it is sent.
 
 use std::io::{self, Write};
 use std::path::Path;
@@ -31,8 +31,7 @@ impl LogSink {
         }
     }
 
-    /// Writes to a file that is put in place by [`WarningSink::finish`], instead of the one that
-    /// may be there.
+    /// Writes to a file that [`WarningSink::finish`] puts in place. It replaces an earlier file.
     ///
     /// # Errors
     /// [`SinkError::Open`] when `path` cannot be written.
@@ -40,7 +39,7 @@ impl LogSink {
         Self::of_file(path, WholeFile::create(path))
     }
 
-    /// Writes to a file in which every line is there as it is sent; the one that may be there is kept beside it.
+    /// Writes to a file in which every line is present as soon as it is sent. An earlier file is kept beside it.
     ///
     /// # Errors
     /// [`SinkError::Open`] when `path` cannot be written.
@@ -74,7 +73,7 @@ impl WarningSink for LogSink {
     }
 
     fn send_fd(&mut self, at: Duration, id: u16, data: &[u8]) -> Result<(), SinkError> {
-        // Behind the second sign is a digit of flags: none.
+        // After the second `#` there is a digit for flags: none.
         self.write(&line(at, id, "##0", data))
     }
 

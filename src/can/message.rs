@@ -1,9 +1,9 @@
 //! The messages as Rust values, to and from the 8 bytes of their frames.
 //!
-//! Owns the meaning of the signals: which code a state has, how a number is rounded, what stands
-//! for not available. Codes, start bits and lengths come from `gapwatch.dbc` through the generated
-//! code. Refuses to know of counter and CRC: both are left 0 here and written when a frame is
-//! sent, and bytes are to be checked ([`super::e2e`]) before they are read here.
+//! It defines the meaning of the signals: which code a state has, how a number is rounded, and what means not
+//! available. Codes, start bits and lengths come from `gapwatch.dbc` through the generated code. Counter and CRC are
+//! not handled here: both are left 0 and written when a frame is sent, and bytes must be checked ([`super::e2e`])
+//! before they are read here.
 
 use std::time::Duration;
 
@@ -16,9 +16,8 @@ use super::generated::{
 };
 use crate::monitor::alarm::{AlarmState, Reason};
 
-// The generated accessors of scaled signals round towards zero and give "not available" the
-// physical value 255, so the raw accessors are used and the factors of the DBC are repeated here;
-// a test holds the two together.
+// The generated accessors of scaled signals round towards zero and give "not available" the physical value 255, so the
+// raw accessors are used and the factors of the DBC are repeated here; a test checks that they agree.
 const SCORE_STEP: f64 = 0.02;
 const FRAME_RATE_STEP_HZ: f64 = 0.25;
 const WINDOW_FILL_STEP: f64 = 0.005;
@@ -27,16 +26,16 @@ const LATENCY_STEP: Duration = Duration::from_millis(2);
 
 /// Code for not available in a signal of 8 bits.
 const NOT_AVAILABLE: u8 = 255;
-/// Largest value in a signal of 8 bits.
+/// Largest available value in a signal of 8 bits.
 const LARGEST: u8 = 254;
 /// Code for not available in the frame age, 4 bits.
 const AGE_NOT_AVAILABLE: u8 = 15;
 /// Largest frame age, 4 bits.
 const LARGEST_AGE: u8 = 14;
-/// A full window.
+/// Code of a full window.
 const WINDOW_FULL: u8 = 200;
 
-/// Bytes that hold a code without a meaning.
+/// The bytes hold a code that has no meaning.
 #[derive(Clone, Copy, Debug, Error, PartialEq, Eq)]
 #[error("{message}.{signal} holds the code {code}, which has no meaning")]
 pub struct MessageError {
@@ -48,12 +47,12 @@ pub struct MessageError {
     pub code: u8,
 }
 
-/// What the monitor says of the road: message `GapStatus`.
+/// What the monitor reports of the road: message `GapStatus`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GapStatus {
-    /// What the car is told.
+    /// The state that is reported to the car.
     pub state: AlarmState,
-    /// Why.
+    /// The reason for the state.
     pub reason: Reason,
     /// Whether there was a gap since the last clear request.
     pub gap_stored: bool,
@@ -129,13 +128,13 @@ impl GapStatus {
 /// How well the monitor sees: message `GapHealth`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GapHealth {
-    /// Whether the reference holds simulation alone, so that any real road is a gap.
+    /// Whether the reference holds only simulation, so that any real road is a gap.
     pub strict: bool,
-    /// How our controller stands on the bus.
+    /// State of our controller on the bus.
     pub bus_state: BusState,
     /// Judged frames a second; on the bus 0 to 63.5 Hz in steps of 0.25 Hz.
     pub frame_rate_hz: Option<f64>,
-    /// Frames dropped since start; on the bus 254 at most.
+    /// Frames dropped since the start; on the bus at most 254.
     pub dropped_frames: u64,
     /// Median time from frame to verdict; on the bus 0 to 508 ms in steps of 2 ms, rounded up.
     pub latency_p50: Option<Duration>,
@@ -168,8 +167,8 @@ impl GapHealth {
     /// Reads the 8 bytes of a checked frame. The value 254 of `dropped_frames` may mean more.
     ///
     /// # Errors
-    /// [`MessageError`] when the window is more than full, the bus state has no meaning, or the
-    /// dropped frames are not available, which gapwatch never sends.
+    /// [`MessageError`] if the window is more than full, if the bus state has no meaning, or if the dropped frames are
+    /// not available, which gapwatch never sends.
     pub fn from_bytes(data: &[u8; 8]) -> Result<Self, MessageError> {
         let message =
             generated::GapHealth::try_from(data.as_slice()).expect("a message of 8 bytes");
@@ -330,7 +329,7 @@ fn number(steps: u8, step: f64) -> Option<f64> {
     (steps != NOT_AVAILABLE).then_some(f64::from(steps) * step)
 }
 
-/// Number of steps begun, 0 to `largest`; `None` is `not_available`.
+/// Number of steps, rounded up, 0 to `largest`; `None` is `not_available`.
 fn steps_of_time(time: Option<Duration>, step: Duration, largest: u8, not_available: u8) -> u8 {
     time.map_or(not_available, |time| {
         let begun = time.as_nanos().div_ceil(step.as_nanos());

@@ -1,6 +1,7 @@
-//! What is heard on the bus: requests to clear the stored bit, other senders on our identifiers, and the car's speed.
+//! What is received from the bus: requests to clear the stored bit, frames of other senders with our identifiers, and
+//! the car's speed.
 //!
-//! Owns the check of `GapClear`. Refuses to act: whether a request is followed is the alarm's to say.
+//! It checks `GapClear`, but does not act on it: the alarm decides whether a request is accepted.
 
 use std::fmt;
 
@@ -15,9 +16,9 @@ pub enum Heard {
     Clear,
     /// A frame on the identifier of `GapClear` that is not valid.
     Invalid,
-    /// Somebody else sends on one of our identifiers.
+    /// Another node sends with one of our identifiers.
     Foreign(u16),
-    /// Whether the car stands; `None` when the sender of its speed does not know.
+    /// Whether the car is not moving; `None` if the sender of its speed does not know.
     Standing(Option<bool>),
 }
 
@@ -32,14 +33,14 @@ impl fmt::Display for Heard {
     }
 }
 
-/// Judges the frames that are heard.
+/// Interprets the frames that are received.
 pub struct Receiver {
     settings: CanSettings,
     clear: E2eReceiver,
 }
 
 impl Receiver {
-    /// Has heard nothing yet.
+    /// A receiver that has received nothing yet.
     pub fn new(settings: &CanSettings) -> Self {
         Self {
             clear: E2eReceiver::new(settings.clear.data_id),
@@ -47,11 +48,11 @@ impl Receiver {
         }
     }
 
-    /// What `frame` means; `None` for a frame that is none of our business.
+    /// What `frame` means; `None` for a frame that does not concern the monitor.
     pub fn hear(&mut self, frame: &CanFrame) -> Option<Heard> {
         if frame.id == self.settings.clear.id {
             let checked = match self.clear.check(&frame.data) {
-                // After a pause of the tester its counter may stand anywhere.
+                // After a pause of the tester, its counter may have any value.
                 Ok(_) | Err(E2eError::WrongSequence { .. }) => {
                     ClearRequest::from_bytes(&frame.data).is_ok()
                 }
@@ -161,7 +162,7 @@ mod tests {
             let data = [byte, 0, 0, 0, 0, 0, 0, 0];
             receiver.hear(&CanFrame { id, data })
         };
-        // Bytes of 20 are 0 km/h; of a car that rolls back they are less.
+        // Bytes of 20 mean 0 km/h; if the car rolls back, they are less.
         for (byte, standing) in [
             (0, Some(false)),
             (18, Some(false)),

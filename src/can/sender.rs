@@ -1,13 +1,13 @@
-//! When which frame is sent.
+//! When each frame is sent.
 //!
-//! `GapStatus` goes out on a fixed grid, and at once when the car must hear of a change;
-//! `GapHealth` goes out on its own grid. Owns the schedules, what waits for the sink and the E2E counters. What waits is
-//! the newest state alone: a frame gets its content, its age, its counter and its CRC when the sink takes it. Refuses to
-//! read a clock: time is told.
+//! `GapStatus` is sent in a fixed cycle, and at once if the car must be informed of a change; `GapHealth` is sent in
+//! its own cycle. The sender manages the schedules, what waits for the sink, and the E2E counters. Only the newest
+//! state waits: a frame gets its content, its age, its counter and its CRC when the sink accepts it. It reads no clock:
+//! time is an argument.
 //!
-//! In a replay, frames that fell due between two calls are sent with their own due times and with what was valid then, so a
-//! drive gives the same frames whatever the steps in which it is replayed. On a live bus nobody is to hear what was valid
-//! before: a call sends each message at most once, with what is valid now.
+//! In a replay, frames that became due between two calls are sent with their own due times and with what was valid
+//! then, so that a drive gives the same frames whatever the steps of the replay are. On a live bus, no receiver must
+//! get what was valid before: a call sends each message at most once, with what is valid now.
 
 use std::time::Duration;
 
@@ -15,21 +15,21 @@ use super::e2e::E2eSender;
 use super::message::{GapHealth, GapStatus};
 use super::{CanFrame, CanSettings, CanSettingsError, SinkError, WarningSink};
 
-/// What became of the frames since the start.
+/// Counts of frames since the start.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SendCounts {
-    /// Frames that the sink took.
+    /// Frames that the sink accepted.
     pub sent: u64,
     /// Writes that the sink refused; the message is offered again.
     pub failed_writes: u64,
-    /// Frames that fell due while one of their message was still waiting, which then stood for both.
+    /// Frames that became due while a frame of the same message was still waiting, which then counted for both.
     pub dropped: u64,
 }
 
 /// Sends [`GapStatus`] and [`GapHealth`] at their times.
 ///
-/// For every frame of the drive call [`update`](Self::update), then [`poll`](Self::poll). On a
-/// live bus also call `poll` at least every minimum gap, whatever the encoder is doing.
+/// For every frame of the drive, call [`update`](Self::update) and then [`poll`](Self::poll). On a live bus, also call
+/// `poll` at least once in every minimum gap, whatever the encoder does.
 pub struct StatusSender {
     settings: CanSettings,
     live: bool,
@@ -38,7 +38,7 @@ pub struct StatusSender {
     status_e2e: E2eSender,
     health_e2e: E2eSender,
     last_poll: Option<Duration>,
-    /// When the sink took the last frame.
+    /// When the sink accepted the last frame.
     last_taken: Duration,
     counts: SendCounts,
 }
@@ -50,7 +50,7 @@ enum Message {
 }
 
 impl StatusSender {
-    /// For a replay. Sends nothing before the first update.
+    /// A sender for a replay. It sends nothing before the first update.
     ///
     /// # Errors
     /// When the settings cannot be kept, see [`CanSettings::check`].
@@ -76,28 +76,28 @@ impl StatusSender {
         })
     }
 
-    /// For a live bus: no frame is sent with a time, or a content, of before the call that sends it.
+    /// A sender for a live bus: no frame is sent with a time or a content from before the call that sends it.
     pub fn live(self) -> Self {
         Self { live: true, ..self }
     }
 
-    /// From `now` on this is the status; the next [`poll`](Self::poll) sends what follows from
-    /// it. Of several updates before a poll the last one counts.
+    /// Sets the status from `now` on; the next [`poll`](Self::poll) sends what follows from it. Of several updates
+    /// before a poll, the last one counts.
     pub fn update(&mut self, now: Duration, status: &GapStatus) {
         self.status.update = Some((now, *status));
     }
 
-    /// From `now` on this is the health; as [`update`](Self::update).
+    /// Sets the health from `now` on, like [`update`](Self::update).
     pub fn update_health(&mut self, now: Duration, health: &GapHealth) {
         self.health.update = Some((now, *health));
     }
 
-    /// Sends all frames due up to and including `now`, in the order of their due times. What the sink refuses, or is not
-    /// ready for, is offered again by the next call, with the time and the newest content of that.
+    /// Sends all frames due up to and including `now`, in the order of their due times. What the sink refuses or is not
+    /// ready for is offered again by the next call, with the time and the newest content of that call.
     ///
     /// # Errors
-    /// The refusal of the sink, after which nothing more is offered in this call. What fell due
-    /// waits; to go on with the next call is right.
+    /// The error of the sink, after which nothing more is offered in this call. What is due waits, and the caller can
+    /// continue with the next call.
     pub fn poll(&mut self, now: Duration, sink: &mut dyn WarningSink) -> Result<(), SinkError> {
         let mut outcome = Ok(());
         while let Some(due) = self.fall_due(now) {
@@ -108,17 +108,17 @@ impl StatusSender {
         outcome
     }
 
-    /// Whether something waits for the sink, or for the minimum gap to be over.
+    /// Whether something waits for the sink, or for the end of the minimum gap.
     pub fn is_waiting(&self) -> bool {
         self.status.is_waiting() || self.health.is_waiting()
     }
 
-    /// What became of the frames so far.
+    /// The counts of frames so far.
     pub fn counts(&self) -> SendCounts {
         self.counts
     }
 
-    /// Lets the message that is due next, up to `until`, wait for the sink; gives the time from which on it does.
+    /// Makes the message that is due next, up to `until`, wait for the sink; returns the time from which it waits.
     fn fall_due(&mut self, until: Duration) -> Option<Duration> {
         let (status, health) = (self.status.due(until), self.health.due(until));
         let due = match (status, health) {
@@ -135,10 +135,10 @@ impl StatusSender {
         Some(at)
     }
 
-    /// Which message the sink may take next, and when: up to `until`.
+    /// Which message the sink may accept next, and when, up to `until`.
     fn next(&self, until: Duration) -> Option<(Duration, Message)> {
         let at = |waiting: Option<Duration>, earliest: Duration| {
-            // Left over from the call before: it is late, and goes out with the time of now.
+            // It is left over from the call before: it is late, and is sent with the present time.
             let late = |since: Duration| self.last_poll.is_some_and(|last| since <= last);
             let wanted = waiting.map(|since| if late(since) { until } else { since })?;
             Some(wanted.max(earliest).max(self.last_taken))
@@ -186,21 +186,21 @@ impl StatusSender {
     }
 }
 
-/// When the frames of one message fall due, and what they carry.
+/// When the frames of one message are due, and what they contain.
 struct Schedule<T> {
     period: Duration,
     minimum_gap: Duration,
-    /// Whether the car must hear at once of the step from what it was told to what is valid.
+    /// Whether the change from the content sent last to the valid content must be sent at once.
     urgent: fn(&T, &T) -> bool,
-    /// What is valid, and since when.
+    /// The valid content, and since when it is valid.
     valid: Option<(Duration, T)>,
-    /// What will be valid, and from when on.
+    /// The content that will be valid, and from when on.
     update: Option<(Duration, T)>,
-    /// What the car was told, and when.
+    /// The content that was sent last, and when.
     told: Option<(Duration, T)>,
     /// Since when a frame waits for the sink.
     waiting: Option<Duration>,
-    /// Next point of the grid, which starts with the first frame.
+    /// Next time of the cycle, which starts with the first frame.
     next_cyclic: Option<Duration>,
 }
 
@@ -218,8 +218,8 @@ impl<T: Copy> Schedule<T> {
         }
     }
 
-    /// When the next frame is due, unless that is after `until`. An update comes into force as
-    /// soon as no frame is due before it.
+    /// When the next frame is due, unless that is after `until`. An update becomes valid as soon as no frame is due
+    /// before it.
     fn due(&mut self, until: Duration) -> Option<Duration> {
         if let Some((from, _)) = self.update
             && self.planned().is_none_or(|at| from <= at)
@@ -229,12 +229,12 @@ impl<T: Copy> Schedule<T> {
         self.planned().filter(|&at| at <= until)
     }
 
-    /// When the next frame is due as things stand.
+    /// When the next frame is due in the present state.
     fn planned(&self) -> Option<Duration> {
         let (since, valid) = self.valid.as_ref()?;
         let cyclic = self.next_cyclic.unwrap_or(*since);
         match &self.told {
-            // What waits will carry the change.
+            // The frame that waits will contain the change.
             Some((last, told)) if self.waiting.is_none() => {
                 let wanted = if (self.urgent)(told, valid) {
                     *since
@@ -247,15 +247,15 @@ impl<T: Copy> Schedule<T> {
         }
     }
 
-    /// Whether a frame waits, or a change that the car must hear of.
+    /// Whether a frame waits, or a change that must be sent.
     fn is_waiting(&self) -> bool {
         let newest = self.update.as_ref().or(self.valid.as_ref());
         let told = self.told.as_ref().zip(newest);
         self.waiting.is_some() || told.is_some_and(|((_, told), (_, new))| (self.urgent)(told, new))
     }
 
-    /// Lets a frame wait from `at` on, which stands for the cyclic one as well if that has fallen due meanwhile; `false` when
-    /// one was waiting already.
+    /// Makes a frame wait from `at` on. It counts for the cyclic frame too if that has become due. Returns `false` if a
+    /// frame was already waiting.
     fn fall_due(&mut self, at: Duration) -> bool {
         let mut next = self.next_cyclic.unwrap_or(at);
         while next <= at {
@@ -267,7 +267,7 @@ impl<T: Copy> Schedule<T> {
         is_new
     }
 
-    /// What a frame sent at `at` carries, and since when that is valid.
+    /// The content of a frame sent at `at`, and since when it is valid.
     fn content(&mut self, at: Duration) -> (Duration, T) {
         if self.update.is_some_and(|(from, _)| from <= at) {
             self.valid = self.update.take();
@@ -276,7 +276,7 @@ impl<T: Copy> Schedule<T> {
             .expect("a frame is due only when a content is valid")
     }
 
-    /// The frame that waited was taken at `at`.
+    /// Records that the sink accepted the waiting frame at `at`.
     fn taken(&mut self, at: Duration) {
         self.waiting = None;
         self.told = self.valid.map(|(_, valid)| (at, valid));

@@ -9,7 +9,7 @@ use super::frame::LARGEST_ID;
 use super::generated::{self, MessageAttributes};
 use super::speed::{SpeedError, SpeedSignal};
 
-/// How a message is called on the bus.
+/// Identifiers of a message on the bus.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct MessageIds {
     /// CAN identifier, 11 bits.
@@ -18,16 +18,16 @@ pub struct MessageIds {
     pub data_id: u16,
 }
 
-/// Identifiers and periods of the messages. The default is what `gapwatch.dbc` says.
+/// Identifiers and periods of the messages. The defaults are those of `gapwatch.dbc`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CanSettings {
-    /// Of `GapStatus`; 0x5D0 by default.
+    /// Identifiers of `GapStatus`; 0x5D0 by default.
     pub status: MessageIds,
-    /// Of `GapHealth`; 0x5D1 by default.
+    /// Identifiers of `GapHealth`; 0x5D1 by default.
     pub health: MessageIds,
-    /// Of `GapDetail`; 0x5D2 by default.
+    /// Identifiers of `GapDetail`; 0x5D2 by default.
     pub detail: MessageIds,
-    /// Of `GapClear`; 0x5D8 by default.
+    /// Identifiers of `GapClear`; 0x5D8 by default.
     pub clear: MessageIds,
     /// Time between cyclic `GapStatus` frames; 100 ms by default.
     pub status_period: Duration,
@@ -35,11 +35,11 @@ pub struct CanSettings {
     pub health_period: Duration,
     /// Time between `GapDetail` frames; 1 s by default.
     pub detail_period: Duration,
-    /// Whether the bus has CAN FD and `GapDetail` is sent; not by default.
+    /// Whether the bus has CAN FD and `GapDetail` is sent; false by default.
     pub fd: bool,
     /// Shortest time between two `GapStatus` frames; 20 ms by default.
     pub minimum_gap: Duration,
-    /// Where others send the vehicle's speed; `None` by default.
+    /// Where another node sends the vehicle's speed; `None` by default.
     pub speed: Option<SpeedSignal>,
 }
 
@@ -74,7 +74,7 @@ fn ids(id: Id, attributes: &MessageAttributes) -> MessageIds {
     }
 }
 
-/// Settings that no bus can be served with.
+/// Settings that cannot be used on a bus.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum CanSettingsError {
     /// An identifier needs more than 11 bits.
@@ -83,11 +83,11 @@ pub enum CanSettingsError {
     /// Two messages share an identifier.
     #[error("CAN id {0:#X} is given to two messages")]
     SameId(u16),
-    /// The vehicle's speed cannot be read so.
+    /// The signal of the vehicle's speed is wrong.
     #[error("the speed: {0}")]
     Speed(#[from] SpeedError),
     /// A period of zero would send without end.
-    #[error("a CAN period of 0 ms cannot be kept")]
+    #[error("a CAN period of 0 ms is not possible")]
     NoPeriod,
     /// The minimum gap leaves no room for the cyclic frames.
     #[error("a minimum gap of {gap:?} does not fit into a status period of {period:?}")]
@@ -100,11 +100,11 @@ pub enum CanSettingsError {
 }
 
 impl CanSettings {
-    /// Checks that the settings can be kept.
+    /// Checks that the settings can be used.
     ///
     /// # Errors
-    /// The first [`CanSettingsError`] found: identifier above 11 bits, identifier given twice,
-    /// speed that no frame holds, period of zero, minimum gap not shorter than the status period.
+    /// The first [`CanSettingsError`] found: an identifier above 11 bits, an identifier given twice, a speed that does
+    /// not fit into a frame, a period of zero, or a minimum gap that is not shorter than the status period.
     pub fn check(&self) -> Result<(), CanSettingsError> {
         let ids = [
             self.status.id,

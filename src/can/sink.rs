@@ -1,4 +1,4 @@
-//! Where frames go, by the word of a user: a bus, a log or nowhere.
+//! Where frames go, as the user names it: a bus, a log or nowhere.
 
 use std::io;
 use std::path::PathBuf;
@@ -13,7 +13,7 @@ use super::frame::{CanFrame, SinkError, WarningSink};
 use super::log::LogSink;
 use super::settings::CanSettings;
 
-/// Where the frames go, as the command line says it.
+/// Where the frames go, as named on the command line.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Sink {
     /// `none`: nowhere.
@@ -27,7 +27,7 @@ pub enum Sink {
     Socket(String),
 }
 
-/// A word that names no sink of this build.
+/// A text that names no sink of this build.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 pub enum SinkWordError {
     /// Not a kind of sink.
@@ -40,13 +40,13 @@ pub enum SinkWordError {
     /// `log:` without a file.
     #[error("the CAN sink `log:` names no file: give log:FILE, or log:- for standard output")]
     NoFile,
-    /// `socketcan:` without an interface that Linux could have.
+    /// `socketcan:` without a possible name of an interface.
     #[cfg(feature = "can")]
     #[error(
         "`{0}` names no interface: give socketcan:IFACE with 1 to 15 characters, as in socketcan:can0"
     )]
     NoInterface(String),
-    /// A socket, which this build does not have.
+    /// A socket, which this build does not support.
     #[cfg(not(feature = "can"))]
     #[error(
         "this build has no CAN socket for `{0}` (build with --features can): give log:FILE, log:- or none"
@@ -58,7 +58,7 @@ impl Sink {
     /// Reads `log:FILE`, `log:-`, `socketcan:IFACE` or `none`.
     ///
     /// # Errors
-    /// A [`SinkWordError`] of one line for anything else.
+    /// A [`SinkWordError`] for anything else.
     pub fn parse(word: &str) -> Result<Self, SinkWordError> {
         match word.split_once(':') {
             None if word == "none" => Ok(Self::None),
@@ -77,7 +77,7 @@ impl Sink {
         }
     }
 
-    /// As [`open`](Self::open), for a live run: a log file holds every frame as soon as it is sent.
+    /// Like [`open`](Self::open), for a live run: a log file holds every frame as soon as it is sent.
     ///
     /// # Errors
     /// As [`open`](Self::open).
@@ -88,7 +88,7 @@ impl Sink {
         }
     }
 
-    /// Opens the sink; a bus lets the identifiers of `settings` through.
+    /// Opens the sink. A bus receives the identifiers of `settings`.
     ///
     /// # Errors
     /// [`SinkError::Open`] when the log file cannot be written or there is no such interface.
@@ -112,17 +112,17 @@ impl Sink {
     }
 }
 
-/// How an interface is written, where a word looks like the name of one: can0, vcan1.
+/// A hint on how to name an interface, if a text looks like the name of one: can0, vcan1.
 fn interface_hint(word: &str) -> String {
     let kind = word.trim_end_matches(|c: char| c.is_ascii_digit());
     if kind != word && ["can", "vcan", "vxcan", "slcan"].contains(&kind) {
-        format!("; an interface is written socketcan:{word}")
+        format!("; an interface is named socketcan:{word}")
     } else {
         String::new()
     }
 }
 
-/// What Linux allows as the name of an interface.
+/// Whether Linux allows this as the name of an interface.
 #[cfg(feature = "can")]
 fn is_interface(name: &str) -> bool {
     const LONGEST: usize = 15;
@@ -140,7 +140,7 @@ impl FromStr for Sink {
     }
 }
 
-/// Takes every frame and keeps none.
+/// Accepts every frame and keeps none.
 struct Nowhere;
 
 impl WarningSink for Nowhere {
@@ -177,7 +177,7 @@ mod tests {
         }
         let line = Sink::parse("vcan1").unwrap_err().to_string();
         assert!(
-            line.ends_with("or none; an interface is written socketcan:vcan1"),
+            line.ends_with("or none; an interface is named socketcan:vcan1"),
             "{line}"
         );
     }

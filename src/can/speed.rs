@@ -1,7 +1,7 @@
 //! The vehicle's speed, read from a frame of another control unit.
 //!
-//! Owns where the signal lies, as a DBC file says it, and when the car counts as parked. Refuses to guess: without a fresh
-//! and valid speed the car is not parked, and the road is watched.
+//! It defines where the signal is in the frame, as in a DBC file, and when the car counts as parked. It does not guess:
+//! without a fresh and valid speed, the car is not parked, and the road is watched.
 
 use std::time::Duration;
 
@@ -9,53 +9,53 @@ use thiserror::Error;
 
 use super::LARGEST_ID;
 
-/// A speed older than this says nothing: control units send it several times as often.
+/// A speed older than this is not used; control units send it several times as often.
 const FRESH: Duration = Duration::from_secs(1);
 
-/// A car that is faster is not parked, whatever a board says, kilometres an hour.
+/// A car that is faster is not parked, whatever a board file says, kilometres an hour.
 const PARKED_BELOW_MAX_KMH: f64 = 10.0;
 
-/// Where the speed lies in which frame.
+/// The frame with the speed, and the place of the speed in it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SpeedSignal {
     /// CAN identifier, 11 bits.
     pub id: u16,
-    /// As in a DBC file: the lowest bit, or with `big_endian` the highest.
+    /// First bit as in a DBC file: the lowest bit, or the highest bit with `big_endian`.
     pub start_bit: u16,
-    /// Bits, 1 to 32; unsigned. All of them set means that the speed is not known.
+    /// Number of bits, 1 to 32; unsigned. If all bits are set, the speed is not known.
     pub length: u16,
     /// Motorola's order of bits instead of Intel's.
     pub big_endian: bool,
-    /// Kilometres an hour a step.
+    /// Kilometres an hour for each step.
     pub factor: f64,
-    /// Kilometres an hour of the raw value 0.
+    /// Kilometres an hour at the raw value 0.
     pub offset: f64,
-    /// Slower than this is standing, kilometres an hour.
+    /// A car that is slower than this is not moving, kilometres an hour.
     pub parked_below_kmh: f64,
-    /// Standing for this long is parked.
+    /// A car that does not move for this long is parked.
     pub parked_after: Duration,
 }
 
 /// A signal that no frame can hold.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum SpeedError {
-    /// It reaches beyond the 64 bits of a frame.
+    /// The signal reaches beyond the 64 bits of a frame.
     #[error("{length} bits from bit {start_bit} do not fit into a frame; wanted 1 to 32 within 64")]
     Place {
         /// First bit.
         start_bit: u16,
-        /// Bits.
+        /// Number of bits.
         length: u16,
     },
-    /// Its numbers are none.
+    /// Its factor or offset cannot be used.
     #[error("factor {factor} and offset {offset}; wanted finite numbers and a factor above 0")]
     Scale {
-        /// Per step.
+        /// Kilometres an hour for each step.
         factor: f64,
-        /// At 0.
+        /// Kilometres an hour at the raw value 0.
         offset: f64,
     },
-    /// No speed is slower than this, or every one.
+    /// The limit below which the car counts as not moving is out of range.
     #[error("parked below {0} km/h; wanted more than 0 and at most {PARKED_BELOW_MAX_KMH}")]
     Parked(f64),
     /// The identifier is too large.
@@ -64,7 +64,7 @@ pub enum SpeedError {
 }
 
 impl SpeedSignal {
-    /// Checks that a frame can hold it.
+    /// Checks that the signal fits into a frame.
     ///
     /// # Errors
     /// The first [`SpeedError`] found.
@@ -89,11 +89,12 @@ impl SpeedSignal {
         Ok(())
     }
 
-    /// Shift and mask in the frame read as one number of its byte order; `None` when it reaches beyond the frame.
+    /// Shift and mask in the frame, which is read as one number in its byte order; `None` if the signal reaches beyond
+    /// the frame.
     fn bits(&self) -> Option<(u32, u64)> {
         let (start, length) = (u32::from(self.start_bit), u32::from(self.length));
         let shift = if self.big_endian {
-            // Bit 7 of byte 0 is the highest of all 64.
+            // Bit 7 of byte 0 is the highest of all 64 bits.
             let from_top = start / 8 * 8 + (7 - start % 8);
             64_u32.checked_sub(from_top + length)?
         } else {
@@ -102,7 +103,7 @@ impl SpeedSignal {
         Some((shift, (1_u64 << length) - 1))
     }
 
-    /// Kilometres an hour; `None` when the sender does not know.
+    /// Kilometres an hour; `None` if the sender does not know the speed.
     pub fn kmh(&self, data: &[u8; 8]) -> Option<f64> {
         let (shift, mask) = self.bits()?;
         let frame = if self.big_endian {
@@ -115,7 +116,7 @@ impl SpeedSignal {
     }
 }
 
-/// Whether the car is parked, from the speeds that are heard.
+/// Decides from the received speeds whether the car is parked.
 #[derive(Debug)]
 pub struct Parking {
     after: Duration,
@@ -124,7 +125,7 @@ pub struct Parking {
 }
 
 impl Parking {
-    /// Standing for `after` is parked.
+    /// A car that does not move for `after` is parked.
     pub fn new(after: Duration) -> Self {
         Self {
             after,
@@ -133,7 +134,7 @@ impl Parking {
         }
     }
 
-    /// Takes what was heard at `now`: whether the car stands, or that nobody knows.
+    /// Takes what was received at `now`: whether the car is not moving, or that this is not known.
     pub fn hear(&mut self, now: Duration, standing: Option<bool>) {
         self.heard_at = Some(now);
         if standing == Some(true) {
@@ -143,7 +144,7 @@ impl Parking {
         }
     }
 
-    /// Whether the car has stood for long, and that is known.
+    /// Whether it is known that the car has not moved for long enough.
     pub fn is_parked(&mut self, now: Duration) -> bool {
         let old = |at: Duration| now.saturating_sub(at) > FRESH;
         if self.heard_at.is_none_or(old) {
@@ -182,7 +183,7 @@ mod tests {
         assert!(close(signal(16, 16, false).kmh(&intel), 46.6));
         let motorola = [0, 0, 0x12, 0x34, 0, 0, 0, 0];
         assert!(close(signal(23, 16, true).kmh(&motorola), 46.6));
-        // Twelve bits across a border of bytes.
+        // Twelve bits that cross the border of two bytes.
         assert!(close(
             signal(4, 12, false).kmh(&[0xF0, 0x23, 0, 0, 0, 0, 0, 0]),
             5.75

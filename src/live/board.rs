@@ -1,7 +1,7 @@
-//! `boards/*.toml` → [`Board`]: what is plugged where, checked once at start.
+//! `boards/*.toml` → [`Board`]: what is connected where, checked once at the start.
 //!
-//! Owns the words of a board file. Refuses what it does not know: a misspelt key is an error with its line, never a
-//! default that nobody asked for.
+//! Defines the keys of a board file. An unknown key is refused: a misspelt key is an error with its line, and never
+//! silently a default.
 
 mod evidence;
 
@@ -18,28 +18,30 @@ pub use evidence::{EvidenceBoard, KEEP};
 
 /// Largest file.
 const BYTES_MAX: u64 = 1 << 16;
-/// Most frames a second that a board may ask for.
+/// Highest frame rate that a board may ask for.
 const RATE_MAX_HZ: f64 = 240.0;
 /// Frames a second that are judged, unless the board says otherwise.
 const RATE_HZ: f64 = 10.0;
 /// Time of listening, unless the board says otherwise.
 const LISTEN: Duration = Duration::from_secs(2);
-/// A car slower than this stands, unless the board says otherwise.
+/// A car that is slower than this is not moving, unless the board says otherwise.
 const PARKED_BELOW_KMH: f64 = 1.0;
-/// And one that stands for this long is parked: at a crossing it does not.
+/// A car that does not move for this long is parked. At a crossing it stops for less.
 const PARKED_AFTER: Duration = Duration::from_secs(60);
-/// A frame may take this share of the time between two, unless the board says otherwise: the rest is for everyone else.
+/// A frame may take this share of the time between two frames, unless the board says otherwise. The rest is for other
+/// programs.
 const FRAME_SHARE: f64 = 0.5;
-/// Memory that is allowed, unless the board says otherwise, MiB: thrice what the shipped model needs, and frames of 1080p.
+/// Memory that is allowed, unless the board says otherwise, MiB: three times what the shipped model needs, and frames
+/// of 1080p.
 const MEMORY_MIB: f64 = 192.0;
 /// Most milliseconds or MiB that a board may allow.
 const AMOUNT_MAX: f64 = 100_000.0;
-/// Longest time that a board may ask for: of listening, and of standing before the car is parked.
+/// Longest time that a board may give for a car that does not move until it is parked.
 const SECONDS_MAX: f64 = 60.0;
-/// Longest time of listening, seconds: half of what the service has to start in.
+/// Longest time of listening, seconds: half of the time in which the service must start.
 const LISTEN_MAX: f64 = 30.0;
 
-/// A board file that cannot be followed.
+/// A board file that cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum BoardError {
     /// It cannot be read.
@@ -57,17 +59,17 @@ pub enum BoardError {
         path: PathBuf,
         /// Line, from 1.
         line: usize,
-        /// What was found and what would do.
+        /// What was found and what was wanted.
         what: String,
     },
 }
 
-/// What a monitor is to do on one computer.
+/// What a monitor does on one computer.
 #[derive(Clone, Debug)]
 pub struct Board {
     /// Where frames come from.
     pub camera: CameraBoard,
-    /// Where warnings go.
+    /// Where warnings are sent.
     pub can: CanBoard,
     /// How the road is watched.
     pub monitor: MonitorBoard,
@@ -86,14 +88,14 @@ pub struct CameraBoard {
     pub wish: CameraWish,
 }
 
-/// Where warnings go.
+/// Where warnings are sent.
 #[derive(Clone, Debug)]
 pub struct CanBoard {
     /// The bus or log.
     pub sink: Sink,
     /// Identifiers and periods.
     pub settings: CanSettings,
-    /// How long to listen for others on our identifiers before the first frame is sent.
+    /// How long to listen for other senders of our identifiers before the first frame is sent.
     pub listen: Duration,
 }
 
@@ -106,26 +108,27 @@ pub struct MonitorBoard {
     pub model: Option<PathBuf>,
     /// A reference made of simulation alone is accepted, although any real road is a gap to it.
     pub strict: bool,
-    /// Most frames a second that are judged.
+    /// Highest number of frames that are judged in a second.
     pub rate_hz: f64,
-    /// Frames a second while the road is clearly nominal or the car parked; as `rate_hz` unless the board says less.
+    /// Frames a second while the road is clearly nominal or the car is parked; the same as `rate_hz` unless the board
+    /// gives less.
     pub idle_rate_hz: f64,
 }
 
 /// What a frame may cost.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Budget {
-    /// Time from a frame to its verdict, 99 of 100 frames.
+    /// Time from a frame to its verdict, for 99 of 100 frames.
     pub frame: Duration,
     /// Memory of the whole program, MiB.
     pub memory_mib: f64,
 }
 
-/// Words of `[camera]` source.
+/// `source` in `[camera]`.
 fn source() -> Kind<String> {
     toml_keys::text("v4l2:/dev/videoN, or a rendered or recorded drive").or_say(|source| {
         match camera_of(&source) {
-            Some(camera) => Err(format!("a camera is written {camera:?}, found {source:?}")),
+            Some(camera) => Err(format!("a camera is named {camera:?}, found {source:?}")),
             None if source == "v4l2:" => {
                 Err("\"v4l2:\" names no device; wanted one, as in \"v4l2:/dev/video0\"".to_owned())
             }
@@ -176,7 +179,7 @@ fn milliseconds(above: Duration) -> Kind<Duration> {
 }
 
 impl Board {
-    /// Reads a board file. Models, references and folders of evidence in it are taken from its folder.
+    /// Reads a board file. Paths of models, references and folders of evidence in it are relative to its folder.
     ///
     /// # Errors
     /// When the file cannot be read, or anything in it is not understood.
@@ -231,7 +234,7 @@ impl Board {
 }
 
 impl MonitorBoard {
-    /// `[monitor]`; without it, what is left out.
+    /// `[monitor]`; defaults if it is missing.
     fn of(file: &Keys<'_>, beside: impl Fn(PathBuf) -> PathBuf) -> Result<Self, Wrong> {
         let known = ["reference", "model", "strict", "rate_hz", "idle_rate_hz"];
         let Some(table) = file.table("monitor", &known)? else {
@@ -287,7 +290,7 @@ fn can(file: &Keys<'_>) -> Result<CanBoard, Wrong> {
             let data_id = table.get("data_id", toml_keys::whole(0..=u16::MAX, ""))?;
             Ok(MessageIds {
                 id,
-                // The identifier, if left out.
+                // The identifier, if it is not given.
                 data_id: data_id.unwrap_or(id),
             })
         }

@@ -1,4 +1,4 @@
-//! The CAN side of a run: verdicts into the messages of the bus.
+//! The CAN side of a run: verdicts become the messages of the bus.
 
 use std::time::Duration;
 
@@ -12,10 +12,10 @@ use crate::monitor::judge::Verdict;
 use crate::monitor::timing::Timing;
 use crate::reference::Reference;
 
-/// Shortest time between two lines of the program's log about the same trouble.
+/// Shortest time between two lines of the program's log about the same error.
 const COMPLAINT: Duration = Duration::from_secs(1);
 
-/// A sink and what is said on it.
+/// A sink and the messages that are sent to it.
 pub struct Bus {
     sender: StatusSender,
     receiver: Receiver,
@@ -29,12 +29,12 @@ pub struct Bus {
     judged_at: Option<Duration>,
     complained_at: Option<Duration>,
     window_fill: Option<f64>,
-    /// Frames that came and were never judged.
+    /// Number of frames that came and were never judged.
     pub dropped_frames: u64,
 }
 
 impl Bus {
-    /// For a replay.
+    /// A bus for a replay.
     ///
     /// # Errors
     /// When the settings cannot be kept.
@@ -59,7 +59,7 @@ impl Bus {
         })
     }
 
-    /// For a live run: see [`StatusSender::live`].
+    /// A bus for a live run: see [`StatusSender::live`].
     pub fn live(self) -> Self {
         Self {
             sender: self.sender.live(),
@@ -67,8 +67,8 @@ impl Bus {
         }
     }
 
-    /// Sends what a verdict changes and what fell due up to `now`, when its frame is `latency` old. In a replay time stands
-    /// still while a frame is judged.
+    /// Sends what a verdict changes, and what became due up to `now`, when its frame is `latency` old. In a replay,
+    /// time does not pass while a frame is judged.
     ///
     /// # Errors
     /// As [`poll`](Self::poll).
@@ -114,7 +114,7 @@ impl Bus {
         self.poll(now)
     }
 
-    /// Lets `GapHealth` know what time it is when there is nothing to tell.
+    /// Gives `GapHealth` the time when there is nothing to report.
     pub fn tell_health(&mut self, now: Duration) {
         self.tell_health_of(now, now);
     }
@@ -133,10 +133,11 @@ impl Bus {
         self.sender.update_health(now, &health);
     }
 
-    /// Sends what fell due up to `now`. A bus that takes nothing is no end: the newest waits for it.
+    /// Sends what became due up to `now`. A bus that accepts nothing does not end the run: the newest message waits for
+    /// it.
     ///
     /// # Errors
-    /// When the log in the place of a bus does not take a frame.
+    /// When the log that replaces the bus cannot be written.
     pub fn poll(&mut self, now: Duration) -> Result<(), SinkError> {
         let sink = self.sink.as_mut();
         let mut polled = self.sender.poll(now, sink);
@@ -147,7 +148,7 @@ impl Bus {
             Err(SinkError::Refused { sink, source }) => {
                 if may_complain(&mut self.complained_at, now) {
                     log::warn!(
-                        "the bus {sink} takes no frame: {source}; {:?}",
+                        "the bus {sink} accepts no frame: {source}; {:?}",
                         self.sender.counts()
                     );
                 }
@@ -162,7 +163,7 @@ impl Bus {
         self.sender.is_waiting()
     }
 
-    /// What was heard on the bus and concerns us.
+    /// What was received from the bus and concerns the monitor.
     pub fn hear(&mut self) -> Option<Heard> {
         while let Some(frame) = self.sink.receive() {
             if let Some(heard) = self.receiver.hear(&frame) {
@@ -175,13 +176,13 @@ impl Bus {
     /// Completes a log.
     ///
     /// # Errors
-    /// When the disk does not take it.
+    /// When it cannot be written.
     pub fn finish(self) -> Result<(), SinkError> {
         self.sink.finish()
     }
 }
 
-/// Whether the log may have a line now; at most one a second.
+/// Whether a line may be logged now; at most one each second.
 pub(super) fn may_complain(complained_at: &mut Option<Duration>, now: Duration) -> bool {
     let may = complained_at.is_none_or(|at| now >= at + COMPLAINT);
     if may {
@@ -205,16 +206,16 @@ pub(super) mod tests {
 
     pub const SPEED_ID: u16 = 0x1A0;
 
-    /// A bus in memory, as those see it who are on it.
+    /// A bus in memory, as its other nodes see it.
     #[derive(Default)]
     pub struct Wire {
-        /// What was taken, and when.
+        /// Frames that were accepted, and when.
         taken: Vec<(Duration, CanFrame)>,
-        /// When a frame of CAN FD was.
+        /// When frames of CAN FD were accepted.
         taken_fd: Vec<Duration>,
-        /// Said to every frame, and at the end.
+        /// Error that is returned for every frame, and at the end.
         pub trouble: Option<fn() -> SinkError>,
-        /// What others have sent.
+        /// Frames that other nodes have sent.
         pub heard: VecDeque<CanFrame>,
     }
 
@@ -238,7 +239,7 @@ pub(super) mod tests {
                 .collect()
         }
 
-        /// Somebody says how fast the car is.
+        /// Another node sends the speed of the car.
         pub fn say_kmh(&mut self, kmh: u8) {
             let data = [kmh, 0, 0, 0, 0, 0, 0, 0];
             self.heard.push_back(CanFrame { id: SPEED_ID, data });
@@ -279,7 +280,7 @@ pub(super) mod tests {
         }
     }
 
-    /// Says that the bus may take a frame later.
+    /// Error that says that the bus may accept a frame later.
     pub fn refused() -> SinkError {
         SinkError::Refused {
             sink: "can0".to_owned(),
@@ -287,7 +288,7 @@ pub(super) mod tests {
         }
     }
 
-    /// Says that a log does not take a frame.
+    /// Error that says that a log cannot be written.
     pub fn full() -> SinkError {
         SinkError::Write {
             sink: "log:x".to_owned(),
@@ -316,7 +317,7 @@ pub(super) mod tests {
         }
     }
 
-    /// A bus that is not live yet, and its wire.
+    /// A bus that is not yet live, and its wire.
     pub fn bus() -> (Bus, SharedWire) {
         let wire = SharedWire::default();
         let sink = Box::new(Sink(Rc::clone(&wire)));
@@ -324,7 +325,7 @@ pub(super) mod tests {
         (Bus::new(sink, settings(), &reference).unwrap(), wire)
     }
 
-    /// Of a frame taken at a time in ms that was judged.
+    /// Verdict on a judged frame that was taken at a time in ms.
     fn judged(at: u64) -> Verdict {
         let block = |score| BlockScore {
             gap: 0.0,
@@ -345,7 +346,7 @@ pub(super) mod tests {
         }
     }
 
-    /// Of no frame, at a time in ms.
+    /// Verdict without a frame, at a time in ms.
     fn silence(at: u64) -> Verdict {
         Verdict {
             at: ms(at),

@@ -16,7 +16,7 @@ use crate::model::encoder::{Encoder, EncoderError};
 use crate::monitor::pipeline::Monitor;
 use crate::reference::Reference;
 
-/// A camera's buffer, and how its pixels lie in it.
+/// A camera's buffer, and the layout of its pixels.
 pub type Buffer = (Layout, Vec<u8>);
 
 /// A chain that cannot be measured.
@@ -31,18 +31,18 @@ pub enum CostError {
     /// A buffer is not what its layout says.
     #[error("{0}")]
     Buffer(String),
-    /// A frame that has nothing to look at does not take the way of the others.
+    /// A frame that cannot be judged does not pass through all stages.
     #[error("a frame cannot be judged: {0}")]
     Frame(Undefined),
 }
 
-/// The whole chain, from a camera's buffer to the frames of a bus that takes everything.
+/// The whole chain, from a camera's buffer to the frames of a bus that accepts everything.
 pub struct Chain {
     monitor: Monitor,
     bus: Bus,
 }
 
-/// A bus that takes everything.
+/// A bus that accepts everything.
 struct Swallow;
 
 impl WarningSink for Swallow {
@@ -53,7 +53,7 @@ impl WarningSink for Swallow {
 }
 
 impl Chain {
-    /// Has seen nothing. The reference must fit the encoder.
+    /// A chain that has seen nothing. The reference must fit the encoder.
     ///
     /// # Errors
     /// When encoder or bus cannot be set up.
@@ -64,7 +64,8 @@ impl Chain {
         })
     }
 
-    /// One frame, taken at `at`. `done` hears `capture`, the stages of the monitor, and `can`.
+    /// Passes one frame, taken at `at`, through the chain. `done` is called with `capture`, the stages of the monitor,
+    /// and `can`.
     ///
     /// # Errors
     /// When the frame cannot be judged.
@@ -94,12 +95,12 @@ impl Chain {
 
 /// Time between the frames that are shown.
 const PERIOD: Duration = Duration::from_millis(100);
-/// First frames, which fill buffers and caches and are not counted.
+/// Number of first frames, which fill buffers and caches and are not counted.
 pub const WARM_UP: u64 = 5;
-/// Most frames of a measurement.
+/// Largest number of frames in a measurement.
 const FRAMES_MAX: u64 = 500;
 
-/// Buffers over and over for `longest` at most, each with its number from 0 and its time.
+/// Repeats the buffers for at most `longest`, each with its number from 0 and its time.
 pub fn shown_for(
     shown: &[Buffer],
     longest: Duration,
@@ -116,10 +117,10 @@ pub fn shown_for(
         })
 }
 
-/// Time of each of some frames through the chain, shown over and over for `longest` at most.
+/// Time of each frame through the chain; the frames are repeated for at most `longest`.
 ///
 /// # Errors
-/// When one cannot be judged.
+/// When a frame cannot be judged.
 pub fn chain_times(
     encoder: &Encoder,
     reference: &Reference,
@@ -138,7 +139,7 @@ pub fn chain_times(
     Ok(times)
 }
 
-/// Time that this thread has run, to the nanosecond.
+/// CPU time that this thread has used, with a resolution of a nanosecond.
 pub fn thread_cpu_time() -> Duration {
     let time = clock_gettime(ClockId::ThreadCPUTime);
     let whole = u64::try_from(time.tv_sec).unwrap_or_default();
@@ -148,7 +149,7 @@ pub fn thread_cpu_time() -> Duration {
 /// Memory of this program in use now, bytes.
 ///
 /// # Errors
-/// When Linux does not tell.
+/// When Linux does not report it.
 pub fn resident_bytes() -> io::Result<u64> {
     let status = fs::read_to_string("/proc/self/status")?;
     let kib: Option<u64> = status
@@ -164,7 +165,7 @@ pub fn ms(time: Duration) -> f64 {
     (time.as_secs_f64() * 1e6).round() / 1e3
 }
 
-/// The value that `percent` of the times do not exceed; zero of none.
+/// The value that `percent` of the times do not exceed; zero if there are no times.
 pub fn quantile(mut times: Vec<Duration>, percent: usize) -> Duration {
     times.sort_unstable();
     let last = times.len().saturating_sub(1);

@@ -1,4 +1,4 @@
-//! The judge's side of the live loop: whether to look, what is known, and when the next frame is wanted.
+//! The judge's side of the live loop: whether to judge frames, what is known, and when the next frame is wanted.
 
 use std::time::Duration;
 
@@ -17,7 +17,7 @@ pub struct Judging {
 }
 
 impl Judging {
-    /// Has seen nothing.
+    /// A judge that has seen nothing.
     pub fn new(periods: Periods) -> Self {
         Self {
             judge: Judge::with_frames_every(periods.idle),
@@ -28,7 +28,7 @@ impl Judging {
         }
     }
 
-    /// Begins a round at `now`: follows the teller's orders, and says what came of a request to clear.
+    /// Begins a round at `now`: follows the teller's orders, and reports the result of a request to clear.
     pub fn obey(&mut self, now: Duration, orders: Orders) -> Option<Word> {
         if orders.parked {
             self.judge.rest(now);
@@ -42,13 +42,14 @@ impl Judging {
             .then(|| Word::Cleared(self.judge.clear_stored()))
     }
 
-    /// Whether a frame is to be looked at. While the car is parked none is, but the newest is taken, so that none is old when
-    /// the car drives off.
+    /// Whether a frame is to be judged. While the car is parked, frames are taken but not judged, so that no frame is
+    /// old when the car drives off.
     pub fn looks(&self) -> bool {
         !self.parked
     }
 
-    /// What a frame tells that was looked at, and before it, if that was too long, the silence.
+    /// The verdict on a frame that was looked at, and before it the verdict on the silence, if the silence was too
+    /// long.
     pub fn frame(&mut self, seen: Sighting) -> (Option<Verdict>, Verdict) {
         let silence = self.judge.silence(seen.at);
         let verdict = self.judge.judge(seen);
@@ -96,7 +97,7 @@ mod tests {
         clear: true,
     };
 
-    /// A frame taken at a time in ms.
+    /// What was seen in a frame that was taken at a time in ms.
     fn seen(at: u32, score: f64) -> Sighting {
         Sighting {
             at: at * MS,
@@ -113,7 +114,7 @@ mod tests {
         }
     }
 
-    /// Looks at ten frames a second of this score, in ms; gives the last verdict.
+    /// Looks at ten frames a second of this score, with times in ms; returns the last verdict.
     fn look(judging: &mut Judging, from: u32, until: u32, score: f64) -> Verdict {
         let frames = (from..=until).step_by(100);
         let mut verdicts = frames.map(|at| judging.frame(seen(at, score)).1);
@@ -155,7 +156,7 @@ mod tests {
         assert_eq!(judging.period(), PERIODS.full);
         look(&mut judging, 5_000, 5_000, 0.1);
         assert_eq!(judging.period(), PERIODS.idle);
-        // To go on driving is no reason.
+        // That the car continues to drive is no reason.
         judging.obey(5_000 * MS, DRIVES);
         assert_eq!(judging.no_frame(5_500 * MS), None);
         assert_eq!(judging.period(), PERIODS.idle);

@@ -1,4 +1,4 @@
-//! Everybody who hears of a verdict. The trouble of one is no other's.
+//! All receivers of verdicts. An error of one receiver does not affect the others.
 
 use std::time::Duration;
 
@@ -7,7 +7,7 @@ use crate::can::SinkError;
 use crate::monitor::judge::Verdict;
 use crate::record::journal::{Journal, JournalError, RecordingJournal};
 
-/// The bus, and what is written.
+/// The bus, and the files that are written.
 pub struct Outputs {
     /// The bus.
     pub bus: Bus,
@@ -17,10 +17,10 @@ pub struct Outputs {
     pub recording: Option<RecordingJournal>,
 }
 
-/// One of them that does not take something.
+/// An error of one of the outputs.
 #[derive(Debug, thiserror::Error)]
 pub enum OutputError {
-    /// The bus, or the log in its place.
+    /// The bus, or the log that replaces it.
     #[error(transparent)]
     Bus(#[from] SinkError),
     /// The journal or the recording.
@@ -29,7 +29,7 @@ pub enum OutputError {
 }
 
 impl Outputs {
-    /// Tells all of a verdict at `now`, when its frame is `latency` old; gives what did not take it.
+    /// Reports a verdict to all outputs at `now`, when its frame is `latency` old; returns their errors.
     pub fn tell(
         &mut self,
         now: Duration,
@@ -43,7 +43,7 @@ impl Outputs {
         troubles(bus, [journal, recording])
     }
 
-    /// Ends all; gives what could not be ended.
+    /// Ends all outputs; returns their errors.
     pub fn finish(self) -> Vec<OutputError> {
         let bus = self.bus.finish();
         let journal = self.journal.map_or(Ok(()), Journal::finish);
@@ -124,7 +124,7 @@ mod tests {
         (outputs, wire, paper)
     }
 
-    /// Whose trouble each is.
+    /// The output of each error.
     fn of(troubles: &[OutputError]) -> Vec<&'static str> {
         let of = |trouble: &OutputError| match trouble {
             OutputError::Bus(_) => "bus",

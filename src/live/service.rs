@@ -1,12 +1,12 @@
-//! What the service manager is to hear that started the monitor, if one did: when it is ready, and that it is alive. systemd
-//! restarts a monitor that is silent for too long.
+//! What is sent to the service manager that started the monitor, if there is one: when the monitor is ready, and that
+//! it is alive. systemd restarts a monitor that is silent for too long.
 
 use std::time::Duration;
 
-/// A judge that does not come round for this long, beyond its own pauses, hangs.
+/// A judge hangs if it completes no round for this long, beyond its own pauses.
 const HANGS: Duration = Duration::from_secs(5);
 
-/// What the service manager is to hear now.
+/// What is to be sent to the service manager now.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct ServiceWords {
     /// The monitor is ready.
@@ -18,23 +18,23 @@ pub struct ServiceWords {
 /// One monitor, as the service manager sees it.
 #[derive(Debug)]
 pub struct Service {
-    /// Time between two signs of life; `None` when nobody waits for them.
+    /// Time between two signs of life; `None` if they are not expected.
     period: Option<Duration>,
     ready: bool,
-    /// When it was last said that we live.
+    /// When the last sign of life was sent.
     said_at: Duration,
     /// Rounds of the judge, and when their number last changed.
     rounds: (u64, Duration),
-    /// Longest time between two rounds of a judge that is well.
+    /// Longest time between two rounds of a judge that works.
     longest: Duration,
 }
 
 impl Service {
-    /// Of a monitor that judges at least one frame in `pause`, and is given up when no sign of life comes for `limit`, if that is
-    /// watched.
+    /// For a monitor that judges at least one frame in `pause`. If there is a `limit`, the monitor is restarted when no
+    /// sign of life comes for that time.
     pub fn new(pause: Duration, limit: Option<Duration>) -> Self {
         Self {
-            // Three chances before the time is over.
+            // Three signs of life fit into the limit.
             period: limit.map(|limit| limit / 3),
             ready: false,
             said_at: Duration::ZERO,
@@ -43,8 +43,9 @@ impl Service {
         }
     }
 
-    /// After the bus was served at `now`: ready at the first word on the road, or on why there is none, and alive as long
-    /// as the judge goes round. One that hangs in a frame is reported as stale, but only a restart helps it.
+    /// What is due after the bus was served at `now`. The monitor is ready at the first verdict on the road, or on why
+    /// there is none. It is alive as long as the judge completes rounds. If the judge hangs in a frame, the bus reports
+    /// `stale`, but only a restart helps.
     pub fn due(&mut self, now: Duration, judged_or_fault: bool, rounds: u64) -> ServiceWords {
         if rounds != self.rounds.0 {
             self.rounds = (rounds, now);
@@ -88,9 +89,9 @@ mod tests {
         assert_eq!(due(&mut service, 1_000, true, 2), ALIVE);
         assert_eq!(due(&mut service, 1_900, true, 3), NOTHING);
         assert_eq!(due(&mut service, 2_000, true, 4), ALIVE);
-        // No word on the road and no fault is no life.
+        // Without a verdict on the road or a fault, there is no sign of life.
         assert_eq!(due(&mut service, 3_000, false, 5), NOTHING);
-        // A judge that hangs is alive for its pause and five seconds.
+        // A judge that hangs counts as alive for its pause and five seconds.
         assert_eq!(due(&mut service, 8_100, true, 5), ALIVE);
         assert_eq!(due(&mut service, 9_100, true, 5), NOTHING);
         assert_eq!(due(&mut service, 9_200, true, 6), ALIVE);

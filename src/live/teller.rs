@@ -1,7 +1,8 @@
-//! The teller's side of the live loop: what bus, files, people and the service manager hear, and when.
+//! The teller's side of the live loop: what is reported to bus, files, terminal and service manager, and when.
 //!
-//! Owns the last word: whatever the judge does, the bus hears within half a second that there is no verdict, and never an old
-//! one. Owns what is heard on the bus too: whether the car is parked, and requests to clear the stored bit.
+//! It decides what is reported: whatever the judge does, the bus receives within half a second that there is no
+//! verdict, and it never receives an old verdict. It also handles what is received from the bus: whether the car is
+//! parked, and requests to clear the stored bit.
 
 use std::error::Error;
 use std::time::Duration;
@@ -18,41 +19,41 @@ use crate::monitor::alarm::{AlarmState, Reason};
 use crate::monitor::continuity::STALE;
 use crate::monitor::judge::Verdict;
 
-/// A verdict on a frame this old comes too late to warn of anything: as long as without any verdict.
+/// A verdict on a frame this old is too late for a warning. The limit is the same as for no verdict at all.
 const LATE: Duration = STALE;
 
-/// Tells everybody what is known.
+/// Reports what is known to all outputs.
 pub struct Teller {
     outputs: Outputs,
     service: Service,
     has_begun: bool,
     last: Verdict,
-    /// When the judge last said something, or nobody looked.
+    /// When the judge last sent something, or when frames were last not to be judged.
     heard_at: Duration,
-    /// Without a word of the judge for this long there is no verdict.
+    /// Without a message from the judge for this long, there is no verdict.
     silent: Duration,
     parking: Parking,
     parked: bool,
-    /// When the program's log last had a line about what is heard on the bus, and about each output.
+    /// When the last line was logged about what is received from the bus, and about each output.
     complained_at: [Option<Duration>; 2],
 }
 
-/// What people are told.
+/// What is shown on the terminal.
 #[derive(Clone, Copy, Debug)]
 pub struct Said<'a> {
     /// The verdict.
     pub verdict: &'a Verdict,
     /// Age of its frame.
     pub latency: Duration,
-    /// State or reason are others than before.
+    /// State or reason have changed.
     pub is_change: bool,
 }
 
-/// Hears what people are told.
+/// Called with what is shown on the terminal.
 pub type Show<'a> = dyn FnMut(Said<'_>) + 'a;
 
 impl Teller {
-    /// For frames that may come as slowly as one every `period`, and a car that is parked when it has stood for
+    /// For frames that may come as slowly as one every `period`, and a car that is parked when it has not moved for
     /// `parked_after`.
     pub fn new(
         outputs: Outputs,
@@ -73,7 +74,7 @@ impl Teller {
         }
     }
 
-    /// The first word.
+    /// Reports the first state.
     ///
     /// # Errors
     /// As [`tick`](Self::tick).
@@ -86,11 +87,12 @@ impl Teller {
         self.tell(now, &nothing, Duration::ZERO, show)
     }
 
-    /// Looks after the bus at `now`, with what the judge has said since the last time: hears, tells what is new, and keeps the
-    /// cycle. Gives the orders to the judge.
+    /// Serves the bus at `now`, with what the judge has sent since the last time: receives frames, reports what is new,
+    /// and keeps the cycle. Returns the orders for the judge.
     ///
     /// # Errors
-    /// When nobody reads the stream in the place of a bus any more. Any other trouble of an output is logged, and is no other's.
+    /// When the stream that replaces the bus has no reader any more. Any other error of an output is logged and does
+    /// not affect the other outputs.
     pub fn tick(
         &mut self,
         now: Duration,
@@ -122,7 +124,7 @@ impl Teller {
         })
     }
 
-    /// What the service manager is to hear at `now`, when the judge has looked for a frame so many times.
+    /// What is to be sent to the service manager at `now`, when the judge has completed `rounds` rounds.
     pub fn service(&mut self, now: Duration, rounds: u64) -> ServiceWords {
         let judged_or_fault = self.last.score.is_some() || self.last.is_unjudged();
         self.service.due(now, judged_or_fault, rounds)
@@ -133,7 +135,7 @@ impl Teller {
         self.outputs.bus.is_waiting()
     }
 
-    /// Says that the monitor stops.
+    /// Reports that the monitor stops.
     ///
     /// # Errors
     /// As [`tick`](Self::tick).
@@ -142,14 +144,14 @@ impl Teller {
         self.tell(now, &stopped, Duration::ZERO, show)
     }
 
-    /// Offers the last word to the bus again.
+    /// Offers the last message to the bus again.
     pub fn offer(&mut self, now: Duration) {
         let polled = self.outputs.bus.poll(now);
-        // Nobody is left to be told.
+        // Nothing is left that could use the error.
         let _ = self.survive(now, polled.err().map(OutputError::from));
     }
 
-    /// Ends all outputs; gives what could not be ended.
+    /// Ends all outputs; returns their errors.
     pub fn finish(self) -> Vec<OutputError> {
         self.outputs.finish()
     }
@@ -164,7 +166,7 @@ impl Teller {
             Word::Verdict { verdict, dropped } => {
                 self.outputs.bus.dropped_frames = dropped;
                 if self.parked {
-                    // Of a frame from before the car was parked: what it stored stays.
+                    // The frame is from before the car was parked: only its stored bit is used.
                     return self.tell_stored(now, verdict.gap_stored, show);
                 }
                 let is_silence = verdict.sequence.is_none();
@@ -178,13 +180,15 @@ impl Teller {
             }
             Word::Cleared(true) => self.tell_stored(now, false, show),
             Word::Cleared(false) => {
-                log::warn!("GapClear is refused while the road is, or was when last seen, a Gap");
+                log::warn!(
+                    "GapClear is refused, because the state is Gap, or would be Gap if the road could be seen"
+                );
                 Ok(())
             }
         }
     }
 
-    /// Tells of the stored bit without waiting for a frame: none comes while the car is parked.
+    /// Reports the stored bit without waiting for a frame, because no frame is judged while the car is parked.
     fn tell_stored(
         &mut self,
         now: Duration,
@@ -195,7 +199,7 @@ impl Teller {
             return Ok(());
         }
         if self.is_silent(now) {
-            // What is told next says so; what was known before is too old to be told again.
+            // The next report contains it. The verdict before is too old to be reported again.
             self.last.gap_stored = gap_stored;
             return Ok(());
         }
@@ -207,7 +211,7 @@ impl Teller {
         self.tell(now, &verdict, now.saturating_sub(verdict.at), show)
     }
 
-    /// Hears what others say on the bus, and whether that asks to clear the stored bit.
+    /// Receives what other nodes send; returns whether they ask to clear the stored bit.
     fn hear_bus(&mut self, now: Duration) -> bool {
         let mut clear = false;
         while let Some(heard) = self.outputs.bus.hear() {
@@ -224,12 +228,12 @@ impl Teller {
         clear
     }
 
-    /// The judge has said nothing for too long, and nobody was told.
+    /// The judge has sent nothing for too long, and this was not yet reported.
     fn is_silent(&self, now: Duration) -> bool {
         now.saturating_sub(self.heard_at) > self.silent && self.is_silence_news()
     }
 
-    /// Silence is no news after a fault, but it is after what was said of a car that stood and drives.
+    /// Silence is not reported again after a fault. It is reported after `Parked` if the car drives again.
     fn is_silence_news(&self) -> bool {
         !self.last.is_unjudged() || (self.last.reason == Reason::Parked && !self.parked)
     }
@@ -266,7 +270,7 @@ impl Teller {
         self.survive(now, troubles)
     }
 
-    /// The trouble of one output is no other's, but when nobody reads a stream any more the run is over.
+    /// An error of one output does not affect the others. But when a stream has no reader any more, the run ends.
     fn survive(
         &mut self,
         now: Duration,
@@ -297,7 +301,7 @@ fn with_causes(error: &dyn Error) -> String {
     line
 }
 
-/// A verdict that comes too late is none.
+/// A verdict that comes too late becomes "no verdict".
 fn in_time(verdict: Verdict, latency: Duration) -> Verdict {
     if latency < LATE || verdict.sequence.is_none() {
         return verdict;

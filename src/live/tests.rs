@@ -1,6 +1,6 @@
-//! Hours of scripts through judge and teller, at the pace of the processor: late frames, holes, parking, a bus that is down, full
-//! or slow, full disks, requests to clear, a program that is stopped, a judge that hangs. What must always hold is checked at
-//! every step.
+//! Hours of scripts through judge and teller, at the pace of the processor: late frames, interruptions, parking, a bus
+//! that is down, full or slow, full disks, requests to clear, a program that is suspended, a judge that hangs. What
+//! must always hold is checked at every step.
 #![allow(
     clippy::unwrap_used,
     clippy::cast_possible_truncation,
@@ -47,7 +47,7 @@ use script::{Dice, Event, Road, Script, SharedDisk, Sink, Wire, settings};
 const MS: Duration = Duration::from_millis(1);
 /// A step of the script: the shortest time between two status frames.
 const STEP: Duration = Duration::from_millis(20);
-/// Steps in all, unless `GAPWATCH_LIVE_STEPS` says otherwise, and in one run.
+/// Total number of steps, unless `GAPWATCH_LIVE_STEPS` says otherwise, and steps in one run.
 const STEPS: u64 = 1_000_000;
 const STEPS_A_RUN: u64 = 20_000;
 /// Seed, unless `GAPWATCH_LIVE_SEED` says otherwise.
@@ -56,24 +56,24 @@ const PERIODS: Periods = Periods {
     full: Duration::from_millis(100),
     idle: Duration::from_millis(200),
 };
-/// Without a verdict for this long there is none on the bus either: 500 ms, and the judge's wait.
+/// Without a verdict for this long, there is none on the bus either: 500 ms, and the wait of the judge.
 const SILENT: Duration = Duration::from_millis(550);
 
-/// What the script knows to be true, to hold the loop's words against.
+/// What the script knows to be true, with which the reports of the loop are compared.
 #[derive(Default)]
 struct Truth {
-    /// When the frame of the last score was taken that came in time.
+    /// When the frame of the last score that came in time was taken.
     judged_at: Option<Duration>,
     /// When the last verdict on a frame came in time.
     heard_at: Option<Duration>,
-    /// A gap was told, and not cleared since.
+    /// A gap was reported, and not cleared since.
     stored: bool,
-    /// When the last status was taken by the bus, and whether the bus took everything since.
+    /// When the bus accepted the last status, and whether it has accepted everything since.
     sent_at: Option<Duration>,
     undisturbed: bool,
-    /// The last word said, and told before.
+    /// The last verdict that was reported, and the one before.
     said: Option<Verdict>,
-    /// Number of the last frame that a word was about.
+    /// Number of the last frame that was reported.
     said_of: Option<u64>,
     /// State of the last verdict on a frame, and on one that was judged.
     last_frame: Option<AlarmState>,
@@ -98,9 +98,9 @@ struct World {
     evidence: Receiver<Message>,
     script: Script,
     orders: Orders,
-    /// By the orders of the step before.
+    /// According to the orders of the step before.
     was_parked: bool,
-    /// The camera's newest frame that nobody took.
+    /// The camera's newest frame that was not taken.
     newest: Option<(Duration, u64)>,
     next_frame: Duration,
     sequence: u64,
@@ -108,7 +108,7 @@ struct World {
     busy_until: Duration,
     looked_at: Duration,
     rounds: u64,
-    /// On their way from the judge.
+    /// Messages on their way from the judge.
     words: VecDeque<(Duration, Word)>,
     clear: E2eSender,
     status_e2e: E2eReceiver,
@@ -201,7 +201,7 @@ impl World {
         self.check(!pause.is_zero());
     }
 
-    /// What others send.
+    /// What other nodes send.
     fn say_on_the_bus(&mut self) {
         let mut wire = self.wire.borrow_mut();
         if let Some(standing) = self.script.standing
@@ -321,7 +321,7 @@ impl World {
         let is_gap = verdict.state == AlarmState::Gap;
         let enters = is_gap && self.truth.last_frame != Some(AlarmState::Gap);
         self.truth.last_frame = Some(verdict.state);
-        // A gap that was entered before a blind moment lasts through it.
+        // A gap that was entered before a moment without sight lasts through it.
         let is_new = self.truth.last_judged_state != Some(AlarmState::Gap);
         if verdict.score.is_some() {
             self.truth.last_judged_state = Some(verdict.state);
@@ -383,7 +383,7 @@ impl World {
         }
     }
 
-    /// What a word of the judge must lead to.
+    /// What a message of the judge must lead to.
     fn expect(&mut self, word: &Word) {
         match word {
             Word::Verdict { verdict, .. } if verdict.sequence.is_some() => {
@@ -414,7 +414,7 @@ impl World {
         }
     }
 
-    /// What must always hold. `paused`: the program was stopped before this step.
+    /// Checks what must always hold. `paused`: the program was suspended before this step.
     fn check(&mut self, paused: bool) {
         let disturbs = {
             let wire = self.wire.borrow();
@@ -463,7 +463,7 @@ impl World {
         if let Some(before) = self.truth.sent_at.replace(at) {
             assert!(at - before >= 20 * MS);
         }
-        // Sent is what was said last, or what is being said.
+        // What is sent is what was reported last, or what is being reported.
         let is = |said: &Verdict| {
             (said.state, said.reason, said.gap_stored)
                 == (status.state, status.reason, status.gap_stored)
@@ -515,7 +515,7 @@ impl World {
             assert!(t_s >= self.truth.journal_t_s, "{line}");
             self.truth.journal_t_s = t_s;
         }
-        // Whatever was said last is in the journal, when the disk took it.
+        // What was reported last is in the journal, if the disk accepted it.
         if let Some(said) = &self.truth.said
             && !disk.full
             && !new.is_empty()
@@ -527,7 +527,7 @@ impl World {
         self.truth.journal_read = disk.bytes.len();
     }
 
-    /// Ends the run: the last word is on a bus that takes it, and the journal is read.
+    /// Ends the run: the last message must be on the bus if the bus accepts it, and the journal is read.
     fn end(mut self) -> (u64, u64) {
         let wire = Rc::clone(&self.wire);
         (wire.borrow_mut().refuses, wire.borrow_mut().busy) = (false, false);

@@ -1,4 +1,4 @@
-//! Evidence over time → what the car is told.
+//! Evidence over time → the state that is reported to the car.
 //!
 //! ```text
 //!            verdict for one window                     score >= 1
@@ -13,9 +13,10 @@
 //! ```
 //!
 //! The fault detection counter follows AUTOSAR's diagnostic event manager (Dem, counter-based debouncing with jump-up),
-//! but moves with elapsed time, so that the reaction does not depend on the frame rate. "Cannot judge" never reads as
-//! "no gap": while nothing can be judged the counter stands still, and after 500 ms the state says so. Suspicion from before
-//! a hole in time (`continuity`) counts for nothing behind it; a gap does until the road is seen to be nominal again.
+//! but moves with elapsed time, so that the reaction does not depend on the frame rate. "Cannot judge" is never
+//! reported as "no gap": while nothing can be judged, the counter does not move, and after 500 ms the state says so.
+//! Suspicion from before an interruption (`continuity`) does not count after it. A gap continues to count until the
+//! road is seen to be nominal again.
 
 use std::time::Duration;
 
@@ -26,31 +27,31 @@ use crate::monitor::continuity::Continuity;
 const UP_S: f64 = 1.0;
 /// Seconds without evidence from the upper end back to 0, and again from 0 to the lower end.
 const DOWN_S: f64 = 2.0;
-/// Longest time that one frame moves the counter: one frame is no gap.
+/// Longest time by which one frame moves the counter: one frame is not enough for a gap.
 const STEP_MAX: Duration = Duration::from_millis(500);
 
 const COUNTER_MAX: f64 = 127.0;
 const COUNTER_MIN: f64 = -128.0;
 
-/// What the car is told.
+/// The state that is reported to the car.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum AlarmState {
-    /// Too little seen yet.
+    /// Too little has been seen yet.
     Init,
-    /// The road looks like the domain the model knows.
+    /// The road looks like the domain that the model knows.
     Ok,
-    /// It may have left the domain; being debounced.
+    /// The road may have left the domain; the evidence is being debounced.
     Suspect,
-    /// It has left the domain.
+    /// The road has left the domain.
     Gap,
-    /// The camera shows nothing that a scene could make.
+    /// The camera shows something that no scene could produce.
     SensorFault,
-    /// There is no verdict, for another reason than the camera.
+    /// There is no verdict, and the camera is not the reason.
     Unavailable,
 }
 
 impl AlarmState {
-    /// The name used everywhere.
+    /// The name, which is the same everywhere.
     pub fn name(self) -> &'static str {
         match self {
             Self::Init => "Init",
@@ -63,7 +64,7 @@ impl AlarmState {
     }
 }
 
-/// Why the state is what it is.
+/// The reason for the state.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Reason {
     /// Nothing to explain.
@@ -80,11 +81,11 @@ pub enum Reason {
     Uniform,
     /// The picture is too small to judge.
     TooSmall,
-    /// The picture cannot be read, or frames do not come in order.
+    /// The picture cannot be read, or frames are out of order.
     Corrupt,
     /// No frame came for too long.
     Stale,
-    /// The frame has no gap: undefined activations or histograms.
+    /// The gap of the frame is undefined: undefined activations or histograms.
     Undefined,
     /// The picture has not changed by a single bit for too long.
     Frozen,
@@ -94,7 +95,7 @@ pub enum Reason {
     Lagging,
     /// The car is parked, so no frame is judged.
     Parked,
-    /// The monitor ends.
+    /// The monitor is ending.
     Stopped,
 }
 
@@ -120,7 +121,7 @@ impl Reason {
         }
     }
 
-    /// Whether the camera is to blame.
+    /// Whether the camera is the cause.
     fn is_sensor_fault(self) -> bool {
         matches!(
             self,
@@ -144,19 +145,19 @@ impl From<&Undefined> for Reason {
     }
 }
 
-/// What a frame contributes.
+/// What a frame contributes to the alarm.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Judgement {
     /// A score: at least 1 is evidence of a gap.
     Score {
         /// 0 nominal, 1 alarm threshold.
         score: f64,
-        /// The detector has looked for at least one window's length.
+        /// The detector has seen frames for at least one window's length.
         settled: bool,
     },
     /// No window is beyond its threshold, but their sum over time is: evidence of a gap.
     Drift {
-        /// As of a score.
+        /// As in `Score`.
         settled: bool,
     },
     /// No verdict.
@@ -174,9 +175,9 @@ pub struct Alarm {
     settled: bool,
     /// When the last frame came, judged or not.
     last_frame: Option<Duration>,
-    /// When the last frame was judged, or the first one that was not.
+    /// When the last frame was judged, or when the first frame came that was not judged.
     last_judged: Option<Duration>,
-    /// How frames that are judged follow each other.
+    /// Continuity of the frames that are judged.
     judged: Continuity,
     /// What the last evidence was.
     evidence: Reason,
@@ -200,8 +201,8 @@ impl Default for Alarm {
 }
 
 impl Alarm {
-    /// An alarm whose frames may come as slowly as one every `period`: silence is told after half as long again, and after
-    /// 500 ms at the earliest.
+    /// An alarm whose frames may come as slowly as one every `period`: silence is reported after one and a half
+    /// periods, and after 500 ms at the earliest.
     pub fn with_frames_every(period: Duration) -> Self {
         Self {
             judged: Continuity::with_frames_every(period),
@@ -209,17 +210,17 @@ impl Alarm {
         }
     }
 
-    /// How long there may be no verdict before the state says so.
+    /// Longest time without a verdict before the state says so.
     pub fn patience(&self) -> Duration {
         self.judged.patience()
     }
 
-    /// The state now.
+    /// The current state.
     pub fn state(&self) -> AlarmState {
         self.state
     }
 
-    /// Why.
+    /// The reason for the state.
     pub fn reason(&self) -> Reason {
         self.reason
     }
@@ -230,19 +231,20 @@ impl Alarm {
         self.counter.clamp(COUNTER_MIN, COUNTER_MAX) as i8
     }
 
-    /// A gap was reported since the start, or since it was last cleared.
+    /// Whether a gap was reported since the start, or since the bit was last cleared.
     pub fn gap_stored(&self) -> bool {
         self.gap_stored
     }
 
-    /// Clears the stored bit, and says whether it did: refused while the state is `Gap`, or would be if the road could be
-    /// seen.
+    /// Clears the stored bit, and returns whether it did. It is refused while the state is `Gap`, or would be `Gap` if
+    /// the road could be seen.
     pub fn clear_stored(&mut self) -> bool {
         self.gap_stored &= self.in_gap;
         !self.gap_stored
     }
 
-    /// Takes a frame's judgement at time `now`, which never goes back, or that there was no frame (`Stale`).
+    /// Takes the judgement of a frame at time `now`, which never goes back, or the judgement `Stale` if there was no
+    /// frame.
     pub fn step(&mut self, now: Duration, judgement: Judgement) {
         if judgement != Judgement::Cannot(Reason::Stale) {
             self.last_frame = Some(now);
@@ -256,7 +258,8 @@ impl Alarm {
         }
     }
 
-    /// Nobody has looked until `now`, since the car is parked: silence counts from then on, and suspicion begins anew.
+    /// No frame was judged until `now`, because the car is parked: silence counts from then on, and suspicion begins
+    /// anew.
     pub fn rest(&mut self, now: Duration) {
         self.judged.interrupt();
         (self.state, self.reason) = (AlarmState::Unavailable, Reason::Parked);
@@ -307,7 +310,8 @@ impl Alarm {
         if now.saturating_sub(since) < self.patience() {
             return;
         }
-        // Silence between slow frames is no blindness: whether they follow each other shows when the next one comes.
+        // Silence between slow frames does not yet mean that nothing can be seen: whether the frames are continuous is
+        // known when the next one comes.
         if reason != Reason::Stale {
             self.judged.interrupt();
         }

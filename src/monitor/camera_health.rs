@@ -1,9 +1,9 @@
-//! Frames over time → whether the camera is to be believed, before anything is judged by them.
+//! Frames over time → whether the camera works, before the frames are judged.
 //!
-//! Owns what no road makes: a picture that does not change by a single bit, a lens that is black over more than half of its
-//! area or without any structure and motion over more than 60 % of it, and frames whose numbers or times do not go on.
-//! Refuses to judge light and weather: night, fog, rain, glare, blur and dirt are gaps, and a fault would hide them; a test
-//! holds it to that on rendered drives.
+//! It detects what no road can produce: a picture that does not change by a single bit; a lens that is black over more
+//! than half of its area, or without any structure and motion over more than 60 % of it; and frames whose numbers or
+//! times do not increase. It does not judge light and weather: night, fog, rain, glare, blur and dirt are gaps, and a
+//! fault would hide them. A test checks this on rendered drives.
 
 use std::ops::Range;
 use std::time::Duration;
@@ -13,40 +13,40 @@ use crate::capture::undefined::Undefined;
 use crate::capture::{Frame, Place};
 use crate::model::vectors::Vectors;
 
-/// A picture that stays the same for this long is frozen: the noise of a sensor changes every frame. The alarm waits as
-/// long again. Our own choice.
+/// A picture that stays the same for this long is frozen, because the noise of a sensor changes every frame. The alarm
+/// waits for the same time again. Our own choice.
 const FROZEN: Duration = Duration::from_millis(500);
-/// After a pause of more than this between two frames, and of two of the slowest frames, it counts anew how long a picture
-/// has been the same.
+/// After a pause longer than this between two frames, and longer than two periods of the slowest frames, the time for
+/// which a picture has been the same is counted anew.
 const HOLE: Duration = Duration::from_secs(1);
 /// Blocks across and down, for the share of the lens that is covered.
 const BLOCKS: (usize, usize) = (16, 8);
-/// Cells across and down in a block: their means tell structure from a sensor's noise.
+/// Cells across and down in a block: their means distinguish structure from a sensor's noise.
 const CELLS: usize = 4;
-/// A block whose brightest value is at most this is covered, as a whole picture is black.
+/// A block whose brightest value is at most this is covered; a whole picture with this limit is black.
 const BLACK_MAX: u8 = 8;
-/// More of the blocks than this share are black, and the lens is covered.
+/// If more than this share of the blocks are black, the lens is covered.
 const COVERED_PERCENT: usize = 50;
-/// Cells of a covered block differ by at most this, among each other and from what they were when it began.
+/// Cells of a covered block differ by at most this from each other, and from their values at the beginning.
 const FLAT_MAX: u8 = 4;
 /// A block without structure and motion for this long is covered.
 const STILL: Duration = Duration::from_secs(1);
-/// More of the blocks than this share are so, and the lens is covered. Fog and tunnels make half of a picture so, all that
-/// is above the road, at severity 5 too.
+/// If more than this share of the blocks are without structure and motion, the lens is covered. Fog and tunnels do this
+/// to half of a picture, which is everything above the road, also at severity 5.
 const STILL_PERCENT: usize = 60;
 
-/// Rows whose brightness is added up before it could overflow.
+/// Number of rows whose brightness can be added up without an overflow.
 const ROWS_MAX: usize = 257;
 
-/// Remembers the last picture, and since when which block has looked the same. Of a camera's own format it looks at
-/// brightness alone.
+/// Remembers the last picture, and for each block since when it has looked the same. In a camera's own format, it looks
+/// only at brightness.
 #[derive(Debug)]
 pub struct CameraHealth {
     hole: Duration,
     last: Option<Pixels>,
     /// When the last picture was first seen.
     since: Duration,
-    /// Of some rows.
+    /// Sums over some rows.
     columns: Vec<Column>,
     cells: Vec<Cell>,
     blocks: Vec<Block>,
@@ -59,7 +59,7 @@ pub struct CameraHealth {
 struct Block {
     black: bool,
     cells: [u8; CELLS * CELLS],
-    /// What the cells were when the block began to be without structure and motion, and when that was.
+    /// Values of the cells when the block began to be without structure and motion, and when that was.
     began: Option<([u8; CELLS * CELLS], Duration)>,
 }
 
@@ -70,7 +70,7 @@ impl Default for CameraHealth {
 }
 
 impl CameraHealth {
-    /// Of a camera whose frames may come as slowly as one every `period`.
+    /// For a camera whose frames may come as slowly as one every `period`.
     pub fn with_frames_every(period: Duration) -> Self {
         Self {
             hole: HOLE.max(2 * period),
@@ -83,7 +83,7 @@ impl CameraHealth {
         }
     }
 
-    /// Whether a frame may be judged. A frame without picture is not looked at.
+    /// Checks whether a frame may be judged. A frame without a picture is not checked.
     ///
     /// # Errors
     /// `OutOfOrder`, `Frozen` or `Covered`.
@@ -92,14 +92,14 @@ impl CameraHealth {
         let Ok(pixels) = &frame.picture else {
             return Ok(());
         };
-        // A camera that gave nothing for long may begin again with what it showed last.
+        // A camera that gave no frames for a long time may begin again with the last picture.
         if silence > self.hole {
             self.last = None;
             self.blocks.clear();
         }
         if self.last.as_ref() == Some(pixels) {
             let still = frame.captured_at.saturating_sub(self.since);
-            // A picture of one colour has its own name.
+            // A picture of one colour has a reason of its own (`Uniform`).
             if still >= FROZEN && !pixels.is_uniform() {
                 return Err(Undefined::Frozen(still));
             }
@@ -119,7 +119,7 @@ impl CameraHealth {
             block.black || block.began.is_some_and(|began| since(began) >= STILL)
         });
         let covered = black > COVERED_PERCENT || still > STILL_PERCENT;
-        // What is all black has its own name too.
+        // A picture that is all black has a reason of its own too.
         if covered && black < 100 && !pixels.is_uniform() {
             let percent = u8::try_from(black.max(still)).unwrap_or(100);
             return Err(Undefined::Covered { percent });
@@ -127,7 +127,7 @@ impl CameraHealth {
         Ok(())
     }
 
-    /// Numbers and times of frames only grow; gives the time since the frame before.
+    /// Checks that numbers and times of frames increase; returns the time since the frame before.
     fn check_order(&mut self, frame: &Frame) -> Result<Duration, Undefined> {
         let place = |number, at| Place {
             number,
@@ -204,7 +204,7 @@ struct Column {
     brightest: u8,
 }
 
-/// Adds up rows of which every `STEP`-th byte counts, `BYTES` of each at a time.
+/// Adds up rows in which every `STEP`-th byte counts, `BYTES` bytes of each row at a time.
 #[inline(always)]
 fn add_up<const STEP: usize, const BYTES: usize>(
     pixels: &Pixels,
@@ -224,7 +224,7 @@ fn add_up<const STEP: usize, const BYTES: usize>(
                     *brightest = (*brightest).max(byte);
                 }
             };
-            // Most blocks are whole, which the compiler then knows.
+            // Most blocks are complete, and this form lets the compiler know their size.
             match bytes.first_chunk::<BYTES>() {
                 Some(whole) => add(whole),
                 None => add(&bytes[..used]),
@@ -236,7 +236,7 @@ fn add_up<const STEP: usize, const BYTES: usize>(
     }
 }
 
-/// What is added up over a part of a block.
+/// Sums over a part of a block.
 #[derive(Clone, Copy, Debug, Default)]
 struct Cell {
     sum: u64,
@@ -317,7 +317,7 @@ mod tests {
             let slow = Duration::from_millis(period);
             let mut health = CameraHealth::with_frames_every(slow);
             for n in 0..5 {
-                // A little slower than said, as cameras are.
+                // A little slower than specified, as cameras are.
                 let mut frame = frame(n * (period + 30), |x, _| 100 + u8::try_from(x).unwrap());
                 frame.sequence = n;
                 assert_eq!(
@@ -347,14 +347,14 @@ mod tests {
             health.check(&covered_to(200, 36)),
             Err(Undefined::Covered { percent: 57 })
         );
-        // All black is told by the picture's brightness.
+        // An all black picture is recognised by its brightness.
         let black = frame(300, |x, y| u8::try_from((x + y) % 4).unwrap());
         assert_eq!(health.check(&black), Ok(()));
     }
 
     #[test]
     fn a_lens_covered_by_something_bright_is_told_after_a_second_without_motion() {
-        // A little noise over what covers it, a road in motion beside it.
+        // A little noise where the lens is covered, and a moving road beside it.
         let noise = |millis: u64, x: u32, y: u32| {
             let mixed = (millis / 100) as u32 * 7_919 + x * 104_729 + y * 1_299_709;
             u8::try_from(mixed / 13 % 4).unwrap()
@@ -376,13 +376,13 @@ mod tests {
             found.find_map(|(at, found)| Some((at, found.err()?)))
         };
         assert_eq!(told(36, 0), None);
-        // 76 of 128 blocks: 60 %, and no more.
+        // 76 of 128 blocks: not more than 60 %.
         assert_eq!(told(36, 4), None);
         let covered = Undefined::Covered { percent: 63 };
         assert_eq!(told(40, 0), Some((1_000, covered)));
     }
 
-    /// Noise, in every third part of the picture of low values only, with padding behind the rows.
+    /// Noise, which has only low values in every third part of the picture, with padding after the rows.
     fn noise(format: PixelFormat, width: u32, height: u32) -> Pixels {
         let row_bytes = match format {
             PixelFormat::Yuyv => 2 * width.next_multiple_of(2),
@@ -415,7 +415,7 @@ mod tests {
             PixelFormat::Rgb3,
             PixelFormat::Bgr3,
         ];
-        // The last one has more rows in a cell than are added up at once.
+        // The last one has more rows in a cell than can be added up in one step.
         for (width, height) in [(64, 32), (67, 35), (130, 71), (64, 8_320)] {
             for format in formats {
                 let pixels = noise(format, width, height);
@@ -492,7 +492,7 @@ mod tests {
         assert!(!check(60, 600));
         assert!(check(61, 700));
         assert!(!check(62, 650));
-        // Neither may stand still.
+        // Both must increase.
         assert!(!check(63, 650));
         assert!(check(64, 651));
         assert!(!check(64, 652));

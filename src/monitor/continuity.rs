@@ -1,16 +1,17 @@
-//! Verdicts over time → how much time each one stands for.
+//! Verdicts over time → how much time each verdict represents.
 //!
-//! Owns what a hole is. A verdict stands for the time since the one before it, unless nothing was seen for so long that
-//! nobody knows what was in between: then it stands for no time, and what was counted before says nothing about now.
+//! Defines what an interruption is (a *hole* in the names of the code). A verdict represents the time since the verdict
+//! before it, unless nothing was seen for so long that it is not known what happened in between. Then it represents no
+//! time, and what was counted before says nothing about the present.
 
 use std::time::Duration;
 
 /// Time without a verdict after which the state says that there is none.
 pub const STALE: Duration = Duration::from_millis(500);
-/// Frames that come as slowly as this still follow each other when they come steadily: two windows of the detector.
+/// Frames that come as slowly as this are still continuous if they come steadily: two windows of the detector.
 pub const SLOWEST: Duration = Duration::from_secs(2);
 
-/// Tells steps in time from holes.
+/// Distinguishes steps in time from interruptions.
 #[derive(Clone, Debug)]
 pub struct Continuity {
     patience: Duration,
@@ -26,7 +27,8 @@ impl Default for Continuity {
 }
 
 impl Continuity {
-    /// For frames that may come as slowly as one every `period`: a hole is longer than half as much again, and than 500 ms.
+    /// For frames that may come as slowly as one every `period`: an interruption is longer than one and a half periods,
+    /// and longer than 500 ms.
     pub fn with_frames_every(period: Duration) -> Self {
         Self {
             patience: STALE.max(period * 3 / 2),
@@ -35,14 +37,14 @@ impl Continuity {
         }
     }
 
-    /// How long there may be no verdict.
+    /// Longest time without a verdict that is not an interruption.
     pub fn patience(&self) -> Duration {
         self.patience
     }
 
-    /// Takes a verdict at `now`, and gives the time since the one before; `None` of the first one, and behind a hole. Slow
-    /// frames that come steadily follow each other: each pause may be half as long again as the one before it, and
-    /// [`SLOWEST`] at most.
+    /// Takes a verdict at `now`, and returns the time since the one before; `None` for the first verdict, and after an
+    /// interruption. Slow frames that come steadily are continuous: each pause may be one and a half times the pause
+    /// before it, and at most [`SLOWEST`].
     pub fn step(&mut self, now: Duration) -> Option<Duration> {
         let since = now.saturating_sub(self.last.replace(now)?);
         let before = self.pause.replace(since);
@@ -54,7 +56,7 @@ impl Continuity {
         None
     }
 
-    /// Nothing can be seen: the next verdict stands behind a hole.
+    /// Nothing can be seen: the next verdict comes after an interruption.
     pub fn interrupt(&mut self) {
         (self.last, self.pause) = (None, None);
     }
@@ -64,7 +66,7 @@ impl Continuity {
 mod tests {
     use super::*;
 
-    /// What each of these times in ms stands for.
+    /// The time that a verdict at each of these times in ms represents.
     fn steps(continuity: &mut Continuity, times: &[u64]) -> Vec<Option<u128>> {
         let step = |&ms| continuity.step(Duration::from_millis(ms));
         let since = times.iter().map(step);
@@ -101,12 +103,12 @@ mod tests {
             steps(&mut continuity, &[0, 1_000, 2_000, 3_500, 5_500, 7_501]),
             [None, None, Some(1_000), Some(1_500), Some(2_000), None]
         );
-        // After a hole of more than 2 s it begins anew.
+        // After an interruption of more than 2 s it begins anew.
         assert_eq!(
             steps(&mut continuity, &[607_501, 608_501, 609_501]),
             [None, None, Some(1_000)]
         );
-        // One of 2 s may be the first of many.
+        // A pause of 2 s may be the first of many.
         continuity.interrupt();
         assert_eq!(
             steps(&mut continuity, &[0, 2_000, 4_000]),

@@ -13,19 +13,19 @@ use crate::monitor::profile::{TapProfile, spreads_of};
 use crate::reference::gap::Metric;
 use crate::reference::{Component, Reference};
 
-/// Most frames a window holds; at higher frame rates it spans less time than asked for.
+/// Largest number of frames in a window. At higher frame rates the window is shorter than the wanted time.
 pub const WINDOW_FRAMES_MAX: usize = 32;
-/// A pause longer than this many windows is a hole in time: what was seen before it says nothing about now.
+/// A pause longer than this many windows is an interruption: what was seen before it says nothing about the present.
 const HOLE_WINDOWS: u32 = 2;
-/// Score that the cumulative sum leaves out: drift is what stays above it. Three quarters of the way from the nominal median
-/// to the threshold, so that only what is nearly an alarm adds up.
+/// Score that is subtracted in the cumulative sum: drift is what stays above it. It is three quarters of the way from
+/// the nominal median to the threshold, so that only what is nearly an alarm adds up.
 const DRIFT_SLACK: f64 = 0.75;
-/// One window adds as if its score were this at most: a short burst is the window's business.
+/// A window adds at most this score to the sum, because short bursts are found by the window itself.
 const DRIFT_SCORE_MAX: f64 = 2.0;
-/// Score seconds above the slack that are a drift: 20 s at the threshold itself.
+/// Sum above the slack, in score times seconds, that is a drift: 20 s at the threshold itself.
 const DRIFT_LIMIT_S: f64 = 5.0;
 
-/// What one block says of the window.
+/// What one block says about the window.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BlockScore {
     /// Gap in the metric's own units.
@@ -36,20 +36,20 @@ pub struct BlockScore {
     pub score: f64,
 }
 
-/// What the window says.
+/// What the window says about the road.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Evidence {
     /// The largest score of the blocks that decide.
     pub score: f64,
-    /// One entry a tap, against the nearest nominal domain.
+    /// One entry for each tap, against the nearest nominal domain.
     pub blocks: heapless::Vec<BlockScore, TAPS_MAX>,
-    /// The nearest nominal domain, by its place in the reference.
+    /// The nearest nominal domain, by its index in the reference.
     pub component: usize,
-    /// How far the scores have added up: 1 is a drift.
+    /// How far the scores have added up; 1 is a drift.
     pub drift: f64,
     /// Frames in the window.
     pub frames: usize,
-    /// Share of the window's length looked at without a hole, 0..1.
+    /// Share of the window's length that was seen without an interruption, 0 to 1.
     pub fill: f64,
 }
 
@@ -69,7 +69,7 @@ pub fn judgement(score: f64, drift: f64, settled: bool) -> Judgement {
     }
 }
 
-/// Adds scores up over time. A hole adds nothing, and one of more than two seconds begins anew.
+/// Adds scores up over time. An interruption adds nothing, and after more than two seconds the sum begins anew.
 #[derive(Clone, Debug, Default)]
 pub struct Cusum {
     sum_s: f64,
@@ -78,7 +78,7 @@ pub struct Cusum {
 }
 
 impl Cusum {
-    /// Of frames that may come as slowly as one every `period`.
+    /// For frames that may come as slowly as one every `period`.
     pub fn with_frames_every(period: Duration) -> Self {
         Self {
             seen: Continuity::with_frames_every(period),
@@ -86,7 +86,7 @@ impl Cusum {
         }
     }
 
-    /// Adds the score of a window that was seen at `now`; what the sum is then, 1 at its limit.
+    /// Adds the score of a window that was seen at `now`; returns the sum, which is 1 at its limit.
     pub fn add(&mut self, now: Duration, score: f64) -> f64 {
         let long = SLOWEST.max(self.seen.patience());
         if (self.last.replace(now)).is_some_and(|last| now.saturating_sub(last) > long) {
@@ -94,13 +94,13 @@ impl Cusum {
         }
         let since_s = self.seen.step(now).unwrap_or_default().as_secs_f64();
         let above = score.min(DRIFT_SCORE_MAX) - DRIFT_SLACK;
-        // The sum stops at its limit, so that a drift is over as soon as the scores are.
+        // The sum stops at its limit, so that a drift ends soon after the high scores.
         self.sum_s = (self.sum_s + above * since_s).clamp(0.0, DRIFT_LIMIT_S);
         self.sum_s / DRIFT_LIMIT_S
     }
 }
 
-/// Rolling sums of the last moments against a reference. Allocates nothing after it is made.
+/// Compares rolling sums over the window with a reference. Allocates nothing after it is made.
 #[derive(Debug)]
 pub struct Detector {
     metric: Metric,
@@ -113,7 +113,7 @@ pub struct Detector {
     span: Duration,
     /// When each frame in the window was seen, oldest first.
     times: Deque<Duration, WINDOW_FRAMES_MAX>,
-    /// What was taken of the frames, a ring of `WINDOW_FRAMES_MAX` slots.
+    /// What was taken from the frames, a ring of `WINDOW_FRAMES_MAX` slots.
     ring: Vec<u32>,
     /// The slot that is written next.
     next_slot: usize,
@@ -132,7 +132,7 @@ impl Detector {
         )
     }
 
-    /// A detector against some nominal domains.
+    /// A detector that compares with some nominal domains.
     pub fn of(metric: Metric, components: Vec<Component>, window_s: f64) -> Self {
         let bins = Component::taken_len(&components);
         Self {
@@ -162,12 +162,12 @@ impl Detector {
         }
     }
 
-    /// Numbers taken of a frame: for each nominal domain, tap after tap.
+    /// How many numbers are taken from a frame: for each nominal domain, tap after tap.
     pub fn taken_len(&self) -> usize {
         self.sums.len()
     }
 
-    /// Adds what was taken of a frame, `[taken_len]`, and compares the window with the reference.
+    /// Adds what was taken from a frame, `[taken_len]`, and compares the window with the reference.
     ///
     /// # Errors
     /// Why the window has no gap.
@@ -205,7 +205,7 @@ impl Detector {
         Ok(evidence)
     }
 
-    /// The evidence of the nominal domain that the window lies nearest to.
+    /// The evidence for the nominal domain that is nearest to the window.
     fn evidence(&self, fill: f64) -> Result<Evidence, Undefined> {
         let mut sums = self.sums.as_slice();
         let mut nearest: Option<Evidence> = None;
@@ -233,7 +233,7 @@ impl Detector {
         nearest.ok_or(Undefined::NoScore)
     }
 
-    /// The window beside the nominal domain that it lies nearest to, tap after tap; empty when it cannot be judged.
+    /// The window beside its nearest nominal domain, tap after tap; empty if it cannot be judged.
     pub fn profiles(&self) -> Vec<TapProfile> {
         let Ok(evidence) = self.evidence(1.0) else {
             return Vec::new();
@@ -375,7 +375,7 @@ mod tests {
         let seen = detector.observe(at(0), &[0, 0, 7, 7, 0, 0, 7, 7]).unwrap();
         assert_eq!((seen.component, seen.blocks[0].gap), (1, 0.0));
         assert_eq!(detector.taken_len(), 8);
-        // Of two that lie as near it is the first.
+        // Of two domains at the same distance, it is the first.
         let two = vec![component(vec![1; 4]), component(vec![1; 4])];
         let alike = Detector::of(metric, two, 1.0).observe(at(0), &[3, 1, 0, 0, 3, 1, 0, 0]);
         assert_eq!(alike.unwrap().component, 0);
@@ -407,7 +407,7 @@ mod tests {
                     .map(|i| (i * step_ms) as f64 / 1_000.0)
             };
             assert_eq!(first_drift_s(0.7), None);
-            // 5 s of score above 0.75: 20 s at the threshold, 4 s at twice it and more.
+            // The limit is a sum of 5 s above 0.75: 20 s at the threshold, 4 s at twice the threshold and more.
             for (score, wanted_s) in [(1.0, 20.0), (2.0, 4.0), (90.0, 4.0)] {
                 let found_s = first_drift_s(score).unwrap();
                 assert!((found_s - wanted_s).abs() <= 0.5, "{score}: {found_s} s");

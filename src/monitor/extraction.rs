@@ -1,4 +1,4 @@
-//! What the nominal domains of a reference take of one frame: counts of pixels, or levels of energies.
+//! What the nominal domains of a reference take from one frame: counts of pixels, or levels of energies.
 
 use crate::capture::undefined::Undefined;
 use crate::features::attention::{EnergyMap, Upsampler};
@@ -6,15 +6,15 @@ use crate::features::energies::BlockMeans;
 use crate::reference::Component;
 use crate::reference::gap::Metric;
 
-/// Takes frames in for some nominal domains. Keeps its buffers.
+/// Extracts from frames what some nominal domains need. Keeps its buffers.
 pub struct Extraction {
-    /// Energy maps are looked at, not only means.
+    /// Energy maps are needed, not only means.
     needs_maps: bool,
     /// Size that maps are resampled to, width and height.
     common_size: (usize, usize),
-    /// By tap, once the sizes of the maps are known.
+    /// One for each tap, when the sizes of the maps are known.
     upsamplers: Vec<Upsampler>,
-    /// By tap, energy maps at the common size.
+    /// Energy maps at the common size, one for each tap.
     common: Vec<EnergyMap>,
 }
 
@@ -29,10 +29,11 @@ impl Extraction {
         }
     }
 
-    /// Fills `taken`, for each domain tap after tap, from a frame's maps at their blocks' own sizes and its means.
+    /// Fills `taken` (for each domain, tap after tap) from a frame's maps, at the sizes of their blocks, and from its
+    /// means.
     ///
     /// # Errors
-    /// Why a domain has no use for the frame.
+    /// Why a domain cannot use the frame.
     pub fn take(
         &mut self,
         maps: &[EnergyMap],

@@ -1,4 +1,5 @@
-//! What was seen → what is known: the alarm, and the verdict on each frame or on the lack of one. Pure; time is passed in.
+//! What was seen → what is known: the alarm, and the verdict on each frame or on a missing frame. Pure; time is an
+//! argument.
 
 use std::time::Duration;
 
@@ -13,11 +14,11 @@ use crate::monitor::detector::{BlockScore, Evidence};
 pub struct Sighting {
     /// Time of the frame.
     pub at: Duration,
-    /// Its number.
+    /// Number of the frame.
     pub sequence: u64,
     /// How good the picture was; `None` when the frame cannot be judged.
     pub quality: Option<ImageQuality>,
-    /// What the window says of the road, or why nothing can be said.
+    /// What the window says about the road, or why nothing can be said.
     pub evidence: Result<Evidence, Undefined>,
 }
 
@@ -26,25 +27,25 @@ pub struct Sighting {
 pub struct Verdict {
     /// Time of the frame.
     pub at: Duration,
-    /// Its number; `None` for a verdict that no frame gave.
+    /// Number of the frame; `None` for a verdict without a frame.
     pub sequence: Option<u64>,
-    /// What the car is told.
+    /// The state that is reported to the car.
     pub state: AlarmState,
-    /// Why.
+    /// The reason for the state.
     pub reason: Reason,
-    /// Why this frame has no score, in words.
+    /// Why this frame has no score.
     pub undefined: Option<Undefined>,
     /// The largest score of the blocks: 0 nominal, 1 alarm threshold; `None` when the frame cannot be judged.
     pub score: Option<f64>,
-    /// One entry a tap; empty when the frame cannot be judged.
+    /// One entry for each tap; empty if the frame cannot be judged.
     pub blocks: heapless::Vec<BlockScore, TAPS_MAX>,
     /// How good the picture was; `None` when the frame cannot be judged.
     pub quality: Option<ImageQuality>,
     /// Frames in the detector's window; `None` when the frame cannot be judged.
     pub window_frames: Option<usize>,
-    /// The nominal domain that the window lies nearest to, by its place in the reference.
+    /// The nominal domain that is nearest to the window, by its index in the reference.
     pub nominal_domain: Option<usize>,
-    /// How far scores have added up, 1 is a drift.
+    /// How far scores have added up; 1 is a drift.
     pub drift: Option<f64>,
     /// Share of the detector's window that is filled, 0..1; `None` when the frame cannot be judged.
     pub window_fill: Option<f64>,
@@ -75,7 +76,7 @@ impl Verdict {
         }
     }
 
-    /// Nothing could be judged, whoever is to blame.
+    /// Nothing could be judged, whatever the cause is.
     pub fn is_unjudged(&self) -> bool {
         matches!(
             self.state,
@@ -129,8 +130,8 @@ impl Judge {
         }
     }
 
-    /// What is known at `now` when the frame before it came too long ago, at the moment that the silence became too long;
-    /// `None` while it has not, and once it was told.
+    /// The verdict on silence, if at `now` the last frame came too long ago. Its time is the moment at which the
+    /// silence became too long. `None` before that moment, and after the silence has been reported.
     pub fn silence(&mut self, now: Duration) -> Option<Verdict> {
         let at = self
             .alarm
@@ -143,17 +144,17 @@ impl Judge {
         })
     }
 
-    /// Nobody has looked until `now`: see [`Alarm::rest`].
+    /// No frame was judged until `now`: see [`Alarm::rest`].
     pub fn rest(&mut self, now: Duration) {
         self.alarm.rest(now);
     }
 
-    /// Clears the stored bit, and says whether it did: refused while there is a gap.
+    /// Clears the stored bit, and returns whether it did. It is refused while there is a gap.
     pub fn clear_stored(&mut self) -> bool {
         self.alarm.clear_stored()
     }
 
-    /// What the alarm says, at the time `at`.
+    /// The verdict of the alarm at the time `at`.
     fn verdict(&self, at: Duration) -> Verdict {
         Verdict {
             at,

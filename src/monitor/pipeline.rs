@@ -1,4 +1,4 @@
-//! The whole chain on one screen: a frame in, a verdict out.
+//! The whole chain in one file: a frame comes in, a verdict goes out.
 
 use std::time::Duration;
 
@@ -14,27 +14,27 @@ use crate::monitor::profile::TapProfile;
 use crate::monitor::scorer::Scorer;
 use crate::reference::Reference;
 
-/// Watches one camera against one reference.
+/// Compares one camera with one reference.
 pub struct Monitor {
     sight: Sight,
     judge: Judge,
 }
 
-/// Frame → energies → histograms → window → evidence: all of the chain that looks at pictures.
+/// Frame → energies → histograms → window → evidence: the part of the chain that works on pictures.
 pub struct Sight {
     camera: CameraHealth,
     stage: EnergyStage,
     scorer: Scorer,
 }
 
-/// Where the encoder looked, and what it found there.
+/// Where the encoder looked, and what it saw there.
 #[derive(Clone, Debug)]
 pub struct Look {
-    /// What it saw.
+    /// The picture that it saw.
     pub seen: Picture,
-    /// Energies of each tap, of its block's own size.
+    /// Energies of each tap, at the size of its block.
     pub energies: Vec<EnergyMap>,
-    /// The window beside what is nominal, one entry a tap; empty when it cannot be judged.
+    /// The window beside what is nominal, one entry for each tap; empty if it cannot be judged.
     pub profiles: Vec<TapProfile>,
 }
 
@@ -50,12 +50,12 @@ impl Monitor {
         })
     }
 
-    /// What is known after a frame. Time is the frame's own.
+    /// Judges a frame. The time is that of the frame.
     pub fn step(&mut self, frame: &Frame) -> Verdict {
         self.step_by_step(frame, &mut |_| {})
     }
 
-    /// As [`step`](Self::step); `done` hears the name of each stage that is passed.
+    /// Like [`step`](Self::step); `done` is called with the name of each completed stage.
     pub fn step_by_step(&mut self, frame: &Frame, done: &mut StageDone<'_>) -> Verdict {
         let seen = self.sight.see_step_by_step(frame, done);
         self.judge.judge(seen)
@@ -73,7 +73,7 @@ impl Monitor {
 }
 
 impl Sight {
-    /// Has seen nothing. The reference must fit the encoder (`Reference::check_fits`).
+    /// A sight that has seen nothing. The reference must fit the encoder (`Reference::check_fits`).
     ///
     /// # Errors
     /// When the encoder's state cannot be set up.
@@ -100,7 +100,7 @@ impl Sight {
         self.see_step_by_step(frame, &mut |_| {})
     }
 
-    /// As [`see`](Self::see); `done` hears the name of each stage that is passed.
+    /// Like [`see`](Self::see); `done` is called with the name of each completed stage.
     pub fn see_step_by_step(&mut self, frame: &Frame, done: &mut StageDone<'_>) -> Sighting {
         let evidence = self.evidence(frame, done);
         Sighting {

@@ -1,4 +1,4 @@
-//! What is behind a gap, for people: a window beside its reference, number by number and region by region.
+//! What causes a gap, for people: a window beside its reference, number by number and region by region.
 
 use serde::{Deserialize, Serialize};
 
@@ -6,7 +6,7 @@ use crate::features::energies::CELLS;
 use crate::reference::gap::moments::STEPS_PER_NAT;
 use crate::reference::{Nominal, TapReference};
 
-/// Most numbers of a profile that is read from a file.
+/// Largest number of values in a profile that is read from a file.
 pub const NUMBERS_MAX: usize = 8_192;
 
 /// What one tap's window shows, and what it shows on nominal roads.
@@ -16,11 +16,11 @@ pub struct TapProfile {
     pub tap: String,
     /// What the numbers are.
     pub kind: ProfileKind,
-    /// The window's.
+    /// Numbers of the window.
     pub live: Vec<f64>,
-    /// The reference's, as many.
+    /// Numbers of the reference, as many as in `live`.
     pub nominal: Vec<f64>,
-    /// Nominal spreads of energies, as many; empty of histograms.
+    /// Nominal spreads of energies, as many as in `live`; empty for histograms.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub spread: Vec<f64>,
 }
@@ -29,13 +29,15 @@ pub struct TapProfile {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum ProfileKind {
-    /// Shares of the counted pixels by bin; sum to 1.
+    /// Shares of the counted pixels by bin; their sum is 1.
     Histogram,
-    /// Log energies `ln(1 + e / epsilon)`, nats: of each channel, then of the cells of the coarse grid, row by row.
+    /// Log energies `ln(1 + e / epsilon)`, nats: those of the channels, then those of the cells of the coarse grid, row
+    /// by row.
     Energies,
 }
 
-/// Nominal spreads of a tap's energies, nats; empty of histograms. Worth keeping: of energies a matrix is inverted.
+/// Nominal spreads of a tap's energies, nats; empty for histograms. The result should be kept, because for energies a
+/// matrix is inverted.
 pub fn spreads_of(reference: &TapReference) -> Vec<f64> {
     match &reference.nominal {
         Nominal::Histogram { .. } => Vec::new(),
@@ -45,8 +47,8 @@ pub fn spreads_of(reference: &TapReference) -> Vec<f64> {
 }
 
 impl TapProfile {
-    /// Of a window of `frames` frames, whose sum is `sums` `[reference.nominal.len()]`; `spread` is the reference's
-    /// ([`spreads_of`]).
+    /// The profile of a window of `frames` frames, whose sum is `sums` `[reference.nominal.len()]`; `spread` is that of
+    /// the reference ([`spreads_of`]).
     #[allow(clippy::cast_precision_loss)]
     pub fn new(reference: &TapReference, spread: &[f64], sums: &[u64], frames: usize) -> Self {
         let shares = |counts: &[u64]| -> Vec<f64> {
@@ -73,7 +75,7 @@ impl TapProfile {
         }
     }
 
-    /// Whether its numbers belong together: to be asked of a profile that was read.
+    /// Whether its numbers belong together. This must be checked for a profile that was read.
     pub fn is_whole(&self) -> bool {
         let spreads = match self.kind {
             ProfileKind::Histogram => 0,
@@ -84,7 +86,7 @@ impl TapProfile {
             && self.spread.len() == spreads
     }
 
-    /// How far each energy is from its nominal mean, in nominal spreads; empty of histograms.
+    /// How far each energy is from its nominal mean, in nominal spreads; empty for histograms.
     pub fn deviations(&self) -> Vec<f64> {
         let nominal = self.nominal.iter().zip(&self.spread);
         let apart = self.live.iter().zip(nominal);
@@ -93,22 +95,22 @@ impl TapProfile {
             .collect()
     }
 
-    /// Deviations of the channels, which come before the cells; empty of histograms.
+    /// Deviations of the channels, which come before the cells; empty for histograms.
     pub fn channel_deviations(&self) -> Vec<f64> {
         let mut deviations = self.deviations();
         deviations.truncate(deviations.len().saturating_sub(CELLS));
         deviations
     }
 
-    /// Deviations of the cells of the coarse grid, row by row; `None` of histograms, which do not say where.
+    /// Deviations of the cells of the coarse grid, row by row; `None` for histograms, which have no places.
     pub fn cell_deviations(&self) -> Option<[f64; CELLS]> {
         let deviations = self.deviations();
         let cells = deviations.len().checked_sub(CELLS)?;
         deviations[cells..].try_into().ok()
     }
 
-    /// Which part of the picture differs: each cell's share of the sum of the cells' squared deviations; they sum to 1.
-    /// `None` where the deviations are, or when nothing differs.
+    /// Which part of the picture differs: the share of each cell in the sum of the squared deviations of the cells. The
+    /// shares add up to 1. `None` if there are no deviations, or if nothing differs.
     pub fn cell_shares(&self) -> Option<[f64; CELLS]> {
         let squares = self
             .cell_deviations()?
@@ -136,7 +138,7 @@ mod tests {
 
     #[test]
     fn shares_of_cells_are_of_their_squared_deviations() {
-        // A channel far off, which is no place; two cells, one and two spreads off.
+        // A channel with a large deviation, which has no place, and two cells with deviations of one and two spreads.
         let mut live = vec![1.0; 1 + CELLS];
         (live[0], live[1], live[CELLS]) = (9.0, 1.5, 0.0);
         let profile = energies(live);

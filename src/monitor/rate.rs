@@ -1,5 +1,5 @@
-//! Verdicts → how often the road is looked at: slowly while it is clearly nominal or the car is parked, at full rate at the
-//! first sign of anything else.
+//! Verdicts → how often the road is looked at: slowly while it is clearly nominal or the car is parked, and at full
+//! rate at the first sign of anything else.
 
 use std::time::Duration;
 
@@ -8,8 +8,8 @@ use crate::monitor::continuity::Continuity;
 
 /// A score up to this is clearly nominal: half of the way from the nominal median to the threshold.
 const CLEAR_SCORE: f64 = 0.5;
-/// The road must be clearly nominal for this long before it is looked at more slowly: what has just been suspicious may be
-/// so again.
+/// The road must be clearly nominal for this long before it is looked at more slowly, because what was just suspicious
+/// may become suspicious again.
 const CALM: Duration = Duration::from_secs(5);
 
 /// Times from one frame to the next.
@@ -17,7 +17,7 @@ const CALM: Duration = Duration::from_secs(5);
 pub struct Periods {
     /// At full rate.
     pub full: Duration,
-    /// While the road is clearly nominal; the same as `full` for one rate always.
+    /// While the road is clearly nominal; the same as `full` if there is only one rate.
     pub idle: Duration,
 }
 
@@ -39,7 +39,8 @@ impl RatePolicy {
         }
     }
 
-    /// Time from the frame of this verdict to the next one. A road that nobody saw for a while was not calm meanwhile.
+    /// Time from the frame of this verdict to the next frame. Time in which the road was not seen does not count as
+    /// calm.
     pub fn after(&mut self, at: Duration, state: AlarmState, score: Option<f64>) -> Duration {
         if self.seen.step(at).is_none() {
             self.calm_since = None;
@@ -73,7 +74,7 @@ mod tests {
         };
         let mut policy = RatePolicy::new(periods);
         let mut now = 0;
-        // Ten frames a second up to a time in ms; what comes of the last one.
+        // Passes ten frames a second up to a time in ms; returns the result of the last one.
         let mut after = |until_ms: u32, state, score| {
             let mut period = Duration::ZERO;
             while now <= until_ms {

@@ -1,4 +1,4 @@
-//! What the encoder saw of a frame → evidence: what the nominal domains take of it, and the detector behind.
+//! What the encoder saw of a frame → evidence: what the nominal domains take from it, and then the detector.
 
 use std::time::Duration;
 
@@ -11,7 +11,7 @@ use crate::monitor::profile::TapProfile;
 use crate::reference::gap::Metric;
 use crate::reference::{Component, Reference};
 
-/// Scores frames against some nominal domains. Keeps its buffers.
+/// Compares frames with some nominal domains. Keeps its buffers.
 pub struct Scorer {
     components: Vec<Component>,
     extraction: Extraction,
@@ -31,7 +31,7 @@ impl Scorer {
         )
     }
 
-    /// As [`new`](Self::new), of the parts of a reference that count.
+    /// Like [`new`](Self::new), from the relevant parts of a reference.
     pub fn of(
         metric: Metric,
         components: Vec<Component>,
@@ -60,7 +60,7 @@ impl Scorer {
     /// What a frame adds to what was seen before.
     ///
     /// # Errors
-    /// Why it cannot be judged.
+    /// Why the frame cannot be judged.
     pub fn observe(
         &mut self,
         at: Duration,
@@ -71,24 +71,24 @@ impl Scorer {
         self.detect(at)
     }
 
-    /// The first half of [`observe`](Self::observe): what each nominal domain takes of a frame.
+    /// The first half of [`observe`](Self::observe): what each nominal domain takes from a frame.
     ///
     /// # Errors
-    /// Why a domain has no use for it.
+    /// Why a domain cannot use the frame.
     pub fn take(&mut self, maps: &[EnergyMap], means: &[BlockMeans]) -> Result<(), Undefined> {
         self.extraction
             .take(maps, means, &self.components, &mut self.taken)
     }
 
-    /// The second half: what was taken last, against the window.
+    /// The second half: adds what was taken last to the window, and compares the window with the reference.
     ///
     /// # Errors
-    /// Why it cannot be judged.
+    /// Why the frame cannot be judged.
     pub fn detect(&mut self, at: Duration) -> Result<Evidence, Undefined> {
         self.detector.observe(at, &self.taken)
     }
 
-    /// The window beside what is nominal, one entry a tap; empty when it cannot be judged.
+    /// The window beside what is nominal, one entry for each tap; empty if it cannot be judged.
     pub fn profiles(&self) -> Vec<TapProfile> {
         self.detector.profiles()
     }

@@ -1,10 +1,10 @@
-//! How well the monitor keeps up: judged frames a second and the time from frame to verdict.
+//! How well the monitor keeps up: judged frames a second, and the time from frame to verdict.
 
 use std::time::Duration;
 
 use heapless::HistoryBuf;
 
-/// Frames that the figures are taken over.
+/// Number of frames from which the figures are calculated.
 const FRAMES: usize = 128;
 /// The judged rate is that of the last second.
 const RATE_SPAN: Duration = Duration::from_secs(1);
@@ -17,7 +17,7 @@ pub struct Timing {
 }
 
 impl Timing {
-    /// Notes a frame, when it was taken and how long it took, and whether it could be judged.
+    /// Records a frame: when it was taken, how long it took, and whether it could be judged.
     pub fn note(&mut self, at: Duration, latency: Duration, judged: bool) {
         self.latencies.write(latency);
         if judged {

@@ -1,9 +1,10 @@
-//! Evidence of alarms: the frames around the moment at which one began, and where the encoder looked, in a bounded folder.
+//! Evidence of alarms: the frames around the beginning of each alarm, and where the encoder looked, in a bounded
+//! folder.
 //!
-//! The frame loop only hands over: pictures go through a bounded queue to a thread of their own. It keeps the last moments in
-//! memory as their source gave them, compresses them when an alarm begins, and writes the event once it is complete. What does
-//! not fit into the queue is dropped and counted; a disk that takes nothing is counted and logged. Each event is a folder that
-//! appears whole or not at all, and is on the disk when it is counted:
+//! The frame loop only hands pictures over, through a bounded queue, to a thread of their own. This thread keeps the
+//! last moments in memory as their source gave them, compresses them when an alarm begins, and writes the event when it
+//! is complete. Pictures that do not fit into the queue are dropped and counted. Errors of the disk are counted and
+//! logged. Each event is a folder that appears whole or not at all, and that is on the disk when it is counted:
 //!
 //! ```text
 //! DIR/000012/event.json        what, when, why; the files below by name

@@ -1,13 +1,14 @@
-//! Journal, version 2: one JSON object a line. The first line says what the run was made with and when; every other one
-//! what was known after a frame, or when none came.
+//! Journal, version 2: one JSON object a line. The first line says what the run was made with, and when. Each other
+//! line says what was known after a frame, or when no frame came.
 //!
 //! ```text
 //! {"gapwatch_journal":2,"began":{"utc":…,"is_set":true,"monotonic_s":…},"about":{…}}
 //! {"t_s":0.105,"captured_s":0.1,"seq":1,"state":"Ok",…}
 //! ```
 //!
-//! `t_s` is when it was told, and never runs backwards; `captured_s` is when the frame was taken. In a replay, where time
-//! stands still while a frame is judged, they are the same. What a line does not know may be `null` or left out.
+//! `t_s` is the time at which the verdict was reported, and never runs backwards; `captured_s` is the time at which the
+//! frame was taken. In a replay, time does not pass while a frame is judged, so they are the same. What is not known
+//! may be `null` or left out.
 //!
 //! ```
 //! use std::time::Duration;

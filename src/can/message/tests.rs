@@ -230,7 +230,7 @@ fn steps_and_codes_are_those_of_the_dbc() {
         other => panic!("{other:?}"),
     }
     match health.window_fill() {
-        // Per cent in the DBC, a share here.
+        // It is per cent in the DBC and a share here.
         generated::GapHealthWindowFill::_Other(percent) => {
             close(percent, 200.0 * WINDOW_FILL_STEP * 100.0);
         }

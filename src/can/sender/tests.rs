@@ -32,12 +32,12 @@ const HEALTH: GapHealth = GapHealth {
     reference_id: 7,
 };
 
-/// Keeps the frames, and refuses them for a while when told to.
+/// Keeps the frames, and can be set to refuse them for a while.
 #[derive(Default)]
 struct Bus {
     taken: Vec<(Duration, CanFrame)>,
     refuses: bool,
-    /// Has not yet sent what it took before.
+    /// It has not yet sent what it accepted before.
     busy: bool,
 }
 
@@ -82,8 +82,8 @@ fn sender() -> StatusSender {
     StatusSender::new(CanSettings::default()).unwrap()
 }
 
-/// Polls each `step` up to `end`; the updates are told at their own times, at the first poll
-/// that is not before them.
+/// Polls in every `step` up to `end`. The updates are given with their own times, at the first poll that is not before
+/// them.
 fn drive(updates: &[(u64, AlarmState)], step: Duration, end: Duration) -> Bus {
     let (mut sender, mut bus) = (sender(), Bus::default());
     let mut updates = updates.iter().peekable();
@@ -239,7 +239,7 @@ fn a_sink_that_is_not_ready_gets_the_newest_state_alone_and_with_its_age() {
         let health: Vec<u128> = bus.of(0x5D1).map(|(at, _)| at.as_millis()).collect();
         assert_eq!(health, [0, 30_010]);
         assert_eq!(bus.counters(0x5D0), [0, 1, 2, 3]);
-        // 15.7 s are more than the signal can say.
+        // 15.7 s are more than the signal can represent.
         let late = GapStatus::from_bytes(bus.of(0x5D0).nth(1).unwrap().1).unwrap();
         assert_eq!(late.frame_age, Some(ms(1_400)));
         let wanted = SendCounts {
@@ -363,7 +363,7 @@ fn of_a_blocked_bus_the_newest_frames_are_left_and_the_grid_goes_on() {
     assert!(bus.states().iter().all(|(_, state)| *state == Gap));
     assert_eq!(bus.counters(0x5D0), [0, 1]);
     assert_eq!(bus.counters(0x5D1), [0]);
-    // 31 status and 4 health frames of the grid fell due up to 3000 ms, and one of each was left.
+    // 31 status and 4 health frames of the cycles became due up to 3000 ms, and one of each was left.
     assert_eq!(sender.counts().dropped, 31 + 4 - 2);
     assert_eq!(sender.counts().sent, 3);
 }

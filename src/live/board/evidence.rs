@@ -7,7 +7,7 @@ use crate::files::toml_keys::{self, Keys, Kind, Wrong};
 use crate::record::events::Quota;
 
 const DAY: Duration = Duration::from_secs(86_400);
-/// How long an event is kept, unless the board says otherwise: pictures show people.
+/// How long an event is kept, unless the board says otherwise. It is limited because pictures show people.
 pub const KEEP: Duration = Duration::from_secs(30 * 86_400);
 const DAYS_MAX: u32 = 3_650;
 const EVENTS_MAX: u32 = 100_000;
@@ -16,9 +16,9 @@ const MEGABYTES_MAX: u32 = 1_000_000;
 /// Pictures of alarms that are kept.
 #[derive(Clone, Debug, PartialEq)]
 pub struct EvidenceBoard {
-    /// Where.
+    /// Folder of the events.
     pub folder: PathBuf,
-    /// How much, and for how long.
+    /// How much is kept, and for how long.
     pub quota: Quota,
 }
 

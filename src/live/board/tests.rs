@@ -262,7 +262,7 @@ fn every_key_answers_other_kinds_and_ranges_in_plain_words() {
         ("source = 3", "source = 3; wanted v4l2:/dev/videoN"),
         (
             "source = \"/dev/video0\"",
-            "a camera is written \"v4l2:/dev/video0\"",
+            "a camera is named \"v4l2:/dev/video0\"",
         ),
         ("source = \"v4l2:\"", "names no device"),
         ("source = \"random:\"\nformat = 3", "wanted one of YUYV"),

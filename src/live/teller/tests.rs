@@ -12,11 +12,11 @@ use crate::can::message::ClearRequest;
 use crate::capture::clock::ClockTime;
 use crate::record::journal::{About, Journal};
 
-/// A teller of 200 ms between frames, and of a car that is parked when it has stood for a second.
+/// A teller with 200 ms between frames, for a car that is parked when it has not moved for a second.
 struct Rig {
     teller: Teller,
     wire: SharedWire,
-    /// What people were told: a verdict, its age in ms, and whether it is a change.
+    /// What was shown: a verdict, its age in ms, and whether it is a change.
     said: Vec<(Verdict, u128, bool)>,
 }
 
@@ -40,7 +40,7 @@ impl Rig {
         }
     }
 
-    /// One that has begun at 0.
+    /// A teller that has begun at 0.
     fn begun() -> Self {
         let mut rig = Self::new();
         rig.begin(0).unwrap();
@@ -48,7 +48,7 @@ impl Rig {
         rig
     }
 
-    /// One whose car is parked at 1,000 ms, with a clear road before.
+    /// A teller whose car is parked at 1,000 ms, with a clear road before.
     fn parked() -> Self {
         let mut rig = Self::begun();
         for at in [0, 500, 1_000] {
@@ -78,7 +78,7 @@ impl Rig {
         self.teller.stop(ms(now), &mut note(&mut self.said))
     }
 
-    /// What was said since the last time.
+    /// What was shown since the last time.
     fn news(&mut self) -> Vec<(AlarmState, Reason)> {
         let said = std::mem::take(&mut self.said).into_iter();
         said.map(|(it, ..)| (it.state, it.reason)).collect()
@@ -102,7 +102,7 @@ fn word(verdict: Verdict) -> Word {
     }
 }
 
-/// Of a frame taken at a time in ms.
+/// Verdict on a frame that was taken at a time in ms.
 fn verdict(at: u64, state: AlarmState, reason: Reason) -> Verdict {
     Verdict {
         at: ms(at),
@@ -143,7 +143,7 @@ fn silence(at: u64) -> Verdict {
     }
 }
 
-/// Says that nobody reads any more.
+/// Error that says that there is no reader any more.
 fn broken() -> SinkError {
     SinkError::Write {
         sink: "log:-".to_owned(),
@@ -191,7 +191,7 @@ fn silence_is_told_once_with_the_counter_and_the_stored_bit() {
         rig.tick(now, []).unwrap();
     }
     assert_eq!(rig.news(), NOTHING);
-    // Whoever comes late says nothing new either.
+    // A silence that comes late is no news either.
     rig.tick(9_000, [word(silence(8_990))]).unwrap();
     assert_eq!(rig.news(), NOTHING);
 }
@@ -287,7 +287,7 @@ fn parked_is_told_once_and_behind_it_silence_is_news_again() {
         assert!(rig.tick(now, []).unwrap().parked);
     }
     assert_eq!(rig.news(), NOTHING);
-    // Nobody was to look until then.
+    // No frame was to be judged until then.
     rig.wire.borrow_mut().say_kmh(50);
     assert!(!rig.tick(4_400, []).unwrap().parked);
     rig.tick(4_950, []).unwrap();
@@ -420,7 +420,7 @@ fn any_other_trouble_is_no_end() {
     }
 }
 
-/// Takes one line.
+/// Accepts one line.
 struct OneLine(bool);
 
 impl Write for OneLine {

@@ -11,13 +11,13 @@ impl Dice {
         self.0.bits() % n
     }
 
-    /// Once in so many times.
+    /// True once in `n` times.
     pub fn once_in(&mut self, n: u64) -> bool {
         self.below(n) == 0
     }
 }
 
-/// What happens outside, in the order in which it does.
+/// What happens outside, in the order in which it happens.
 #[derive(Debug)]
 pub enum Event {
     Sent(Duration, CanFrame),
@@ -91,21 +91,21 @@ pub enum Road {
     Black,
 }
 
-/// What goes on outside, until something else does.
+/// The present situation outside, until it changes.
 pub struct Script {
     pub road: Road,
-    /// Time from one frame of the camera to the next; `None` of one that gives nothing.
+    /// Time from one frame of the camera to the next; `None` if the camera gives no frames.
     pub frames_every: Option<Duration>,
-    /// From taking a frame to its verdict.
+    /// Time from taking a frame to its verdict.
     pub judging_takes: Duration,
     pub standing: Option<bool>,
     pub disk_full: bool,
-    /// Nobody takes evidence off its queue.
+    /// Evidence stays in its queue.
     pub evidence_waits: bool,
 }
 
 impl Script {
-    /// Changes something now and then; most of the time all is well.
+    /// Changes something now and then; most of the time everything works.
     pub fn change(&mut self, dice: &mut Dice, wire: &mut Wire) {
         if dice.once_in(100) {
             let well = dice.once_in(2);
@@ -143,7 +143,7 @@ impl Script {
         }
     }
 
-    /// How long the program, with all its threads, is stopped now.
+    /// How long the program, with all its threads, is suspended now.
     pub fn pause(&self, dice: &mut Dice) -> Duration {
         match dice.below(4_000) {
             0 => 800 * MS,

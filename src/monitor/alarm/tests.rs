@@ -137,7 +137,7 @@ fn suspicion_lasts_as_long_as_evidence_comes_and_the_counter_is_above_0() {
             0..10 => AlarmState::Init,
             20..56 => AlarmState::Suspect,
             56..78 => AlarmState::Gap,
-            // 2 s after the last evidence, or a frame later.
+            // 2 s after the last evidence, or one frame later.
             78 => continue,
             _ => AlarmState::Ok,
         };
@@ -179,7 +179,7 @@ fn evidence_from_before_a_hole_counts_for_nothing_behind_it() {
         if rests {
             alarm.rest(ms(behind));
             assert_eq!(alarm.stale_at(), Some(ms(behind + 500)));
-            // What cannot be judged then is not what was judged before.
+            // A frame that cannot be judged then does not continue what was judged before.
             alarm.step(ms(behind), Judgement::Cannot(Reason::Black));
             let parked = (AlarmState::Unavailable, Reason::Parked);
             assert_eq!((alarm.state(), alarm.reason()), parked);
@@ -211,7 +211,7 @@ fn slow_frames_add_up_and_a_gap_lasts_through_a_hole() {
         alarm.step(s(second), judged(9.0));
         states.push(alarm.state());
     }
-    // The first pause may be a hole; each of the others moves the counter by half a second.
+    // The first pause may be an interruption; each of the others moves the counter by half a second.
     use AlarmState::{Gap, Suspect};
     assert_eq!(states, [Suspect, Suspect, Suspect, Gap, Gap, Gap]);
     alarm.step(s(900), judged(0.0));
@@ -402,7 +402,7 @@ fn silence_is_told_after_half_a_second_or_one_and_a_half_frames() {
         assert_eq!(alarm.stale_at(), None);
         alarm.step(ms(100), score);
         assert_eq!(alarm.stale_at(), Some(ms(100 + patience)));
-        // Silence and blindness count from the last frame, not from when they are noticed.
+        // Silence and time without sight count from the last frame, and not from when they are noticed.
         alarm.step(ms(99 + patience), Judgement::Cannot(Reason::Stale));
         assert_eq!(alarm.stale_at(), Some(ms(100 + patience)));
         assert_eq!(alarm.state(), AlarmState::Ok);
@@ -436,7 +436,7 @@ fn the_counter_goes_from_its_lowest_to_its_highest_value() {
 
 #[test]
 fn frames_that_cannot_be_judged_in_between_hold_no_gap_up() {
-    // Two of three frames are lost, as on a bad cable.
+    // Two of three frames are lost, as with a bad cable.
     let mut alarm = Alarm::default();
     let mut gap_at = None;
     for tenth in 0..60_u32 {
@@ -453,7 +453,7 @@ fn frames_that_cannot_be_judged_in_between_hold_no_gap_up() {
             gap_at.get_or_insert(tenth);
         }
     }
-    // A second of evidence, from the first frame that shows any: 30, and the one before that counts for it is 27.
+    // A second of evidence from the first frame with evidence, which is 30; the time that it adds begins at frame 27.
     assert_eq!(gap_at, Some(39));
     assert_eq!(alarm.state(), AlarmState::Gap);
 }
@@ -508,7 +508,7 @@ fn blindness_between_slow_frames_is_a_hole_and_silence_is_none() {
         assert_eq!(alarm.fault_detection_counter(), 50);
         alarm.step(ms(900), Judgement::Cannot(reason));
         assert_eq!(alarm.reason(), reason);
-        // No more than half as long again as 400 ms: without a hole between them they follow each other.
+        // At most one and a half times 400 ms: the frames are continuous, without an interruption between them.
         alarm.step(ms(910), evident);
         assert_eq!(alarm.fault_detection_counter(), counter, "{reason:?}");
     }

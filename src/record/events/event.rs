@@ -6,27 +6,27 @@ use serde::{Deserialize, Serialize};
 
 use crate::monitor::profile::TapProfile;
 
-/// The file of an event that says what the others are.
+/// The file of an event that describes its other files.
 pub const EVENT_FILE: &str = "event.json";
 /// One event.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Event {
-    /// Which of the moments began it.
+    /// Index of the moment that began it.
     pub edge: usize,
-    /// Frames around it in order of time.
+    /// Frames around it, in the order of time.
     pub moments: Vec<Moment>,
 }
 
-/// A moment of an event, as its `event.json` has it.
+/// A moment of an event, as it is in `event.json`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Moment {
     /// Time of the frame, seconds since the source began.
     pub t_s: f64,
-    /// Its number.
+    /// Number of the frame.
     pub seq: u64,
-    /// What the car was told.
+    /// The state that was reported to the car.
     pub state: String,
-    /// Why.
+    /// The reason for the state.
     pub reason: String,
     /// The largest score of the blocks.
     pub score: Option<f64>,
@@ -35,7 +35,7 @@ pub struct Moment {
     /// Files of the heat maps by tap; most moments have none.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub heat: BTreeMap<String, String>,
-    /// The window beside what is nominal, one entry a tap; most moments have none.
+    /// The window beside what is nominal, one entry for each tap; most moments have none.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub profiles: Vec<TapProfile>,
 }

@@ -1,9 +1,11 @@
-//! The folder of events on disk: each appears whole, the quota holds, and what is no event is left alone.
+//! The folder of events on disk: each event appears whole, the quota is kept, and files that are not events are left
+//! alone.
 //!
-//! An event is a folder named by its number that holds an `event.json`. A new one is written under another name, synced, and put
-//! in place once there is room for it within the quota, so that an event that cannot be written costs no older one; only on
-//! a full disk room is made first. The files of all events in place are never more than the quota; while an event is written, its
-//! own files, at most the quota again, lie beside them. What cannot be removed keeps its place in the quota, and is tried again.
+//! An event is a folder that is named by its number and holds an `event.json`. A new event is written under another
+//! name, synced, and put in place when there is room for it within the quota, so that no older event is removed for an
+//! event that cannot be written. Only on a full disk, room is made first. The files of all events in place never exceed
+//! the quota. While an event is written, its own files, at most the quota again, exist in addition. What cannot be
+//! removed continues to count in the quota, and its removal is tried again.
 
 use std::fs::{self, File, TryLockError};
 use std::io::{self, Write};
@@ -15,11 +17,11 @@ use super::quota::Quota;
 use crate::capture::clock;
 use crate::files::durable::{create_folders, put_in_place, rename_to_free_name, sync, sync_folder};
 
-/// Names under which events are written and removed; never taken for an event.
+/// Names under which events are written and removed; they never count as events.
 const UNFINISHED: &str = ".unfinished-";
-/// What follows the number of an event that is being removed.
+/// Text after the number of an event that is being removed.
 const GONE: &str = "-gone";
-/// The last number of an event.
+/// The largest number of an event.
 const NUMBER_MAX: u64 = 999_999_999_999_999;
 /// An event in the folder.
 pub struct OnDisk {
@@ -35,15 +37,15 @@ impl OnDisk {
     }
 }
 
-/// When an event was written. The clock of a computer without a battery jumps once it hears the time; what was written in this run
-/// is not older for it.
+/// When an event was written. The clock of a computer without a battery jumps when it receives the time; this does not
+/// change the age of what was written in this run.
 enum Written {
     Before(SystemTime),
     InThisRun(Instant),
 }
 
 impl Written {
-    /// `None` when the clock was not set then or is not set now, or says that the event is of tomorrow.
+    /// `None` if the clock was not set then or is not set now, or if the event would be from the future.
     fn age(&self, now: SystemTime) -> Option<Duration> {
         match self {
             Self::Before(at) if clock::is_set(*at) && clock::is_set(now) => {
@@ -55,20 +57,20 @@ impl Written {
     }
 }
 
-/// What an earlier write or removal left, as long as it cannot be removed: its bytes count.
+/// What an earlier write or removal left and what cannot be removed yet: its bytes count.
 struct Leftover {
     path: PathBuf,
     bytes: u64,
 }
 
-/// What lies in a folder.
+/// The content of a folder.
 #[derive(Default)]
 pub struct Content {
-    /// Oldest first.
+    /// Events, the oldest first.
     pub events: Vec<OnDisk>,
     /// Folders of events that were being written or removed when a program ended.
     pub unfinished: Vec<PathBuf>,
-    /// Names of what is neither.
+    /// Names of everything else.
     pub others: Vec<String>,
 }
 
@@ -82,13 +84,13 @@ impl Content {
             let event = number(&name).map_or(Ok(None), |number| on_disk(&path, number));
             match event {
                 Ok(Some(event)) => content.events.push(event),
-                // A link to a folder is none.
+                // A link to a folder is not a folder here.
                 Ok(None) if is_unfinished(&name) && entry.file_type()?.is_dir() => {
                     content.unfinished.push(path);
                 }
                 Ok(None) => content.others.push(name.into_owned()),
                 Err(error) => {
-                    log::warn!("evidence {}: left alone: {error}", path.display());
+                    log::warn!("evidence {}: is left alone: {error}", path.display());
                     content.others.push(name.into_owned());
                 }
             }
@@ -99,7 +101,7 @@ impl Content {
     }
 }
 
-/// The event in a folder of its number, if it is one.
+/// The event in a folder that is named by its number, if it is one.
 fn on_disk(folder: &Path, number: u64) -> io::Result<Option<OnDisk>> {
     if !is_event(folder)? {
         return Ok(None);
@@ -111,26 +113,26 @@ fn on_disk(folder: &Path, number: u64) -> io::Result<Option<OnDisk>> {
     }))
 }
 
-/// What lies in a folder of evidence.
+/// The content of a folder of evidence.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Found {
-    /// Events.
+    /// Number of events.
     pub events: usize,
     /// Bytes of all their files.
     pub bytes: u64,
-    /// Folders that a program left unfinished when it ended, which the next one removes.
+    /// Number of folders that a program left unfinished when it ended; the next run removes them.
     pub unfinished: usize,
-    /// Names of what is no event, which is left alone.
+    /// Names of files that are not events and are left alone.
     pub others: Vec<String>,
 }
 
-/// Opens a folder as [`EventRecorder::start`](super::EventRecorder::start) does, and changes nothing in it.
+/// Opens a folder like [`EventRecorder::start`](super::EventRecorder::start), but changes nothing in it.
 ///
 /// # Errors
-/// When it could not be recorded there: nothing can be written, or another program does.
+/// When nothing can be written there, or when another program writes there.
 pub fn examine(folder: &Path) -> io::Result<Found> {
     let lock = File::open(folder)?;
-    // For a moment: a program that begins to write meanwhile is to find it free.
+    // The lock is held only for a moment, so that a program that begins to write finds the folder free.
     lock.try_lock_shared().map_err(taken)?;
     lock.unlock()?;
     let content = Content::of(folder)?;
@@ -145,19 +147,19 @@ pub fn examine(folder: &Path) -> io::Result<Found> {
 
 fn taken(error: TryLockError) -> io::Error {
     match error {
-        TryLockError::WouldBlock => {
-            io::Error::other("another gapwatch keeps its evidence there; wanted a folder for each")
-        }
+        TryLockError::WouldBlock => io::Error::other(
+            "another gapwatch keeps its evidence there; wanted a separate folder for each",
+        ),
         TryLockError::Error(error) => error,
     }
 }
 
 pub struct EventFolder {
     path: PathBuf,
-    /// The folder, locked as long as this is, so that no two write here.
+    /// The folder, which stays locked as long as this exists, so that no two programs write to it.
     _lock: File,
     quota: Quota,
-    /// Oldest first.
+    /// Events, the oldest first.
     events: Vec<OnDisk>,
     leftovers: Vec<Leftover>,
     next: u64,
@@ -165,12 +167,12 @@ pub struct EventFolder {
     disk: Disk,
 }
 
-/// What is done on the disk that may fail for its own reasons.
+/// Operations on the disk that may fail; tests replace them.
 #[derive(Clone, Copy)]
 struct Disk {
-    /// Makes a file, which is on the disk when this returns.
+    /// Writes a file, which is on the disk when this returns.
     write: fn(&Path, &[u8]) -> io::Result<()>,
-    /// Removes a folder with all that it holds.
+    /// Removes a folder with everything in it.
     delete: fn(&Path) -> io::Result<()>,
 }
 
@@ -186,7 +188,7 @@ impl Disk {
 }
 
 impl EventFolder {
-    /// Opens or makes a folder; what an earlier run left unfinished goes.
+    /// Opens or creates a folder; what an earlier run left unfinished is removed.
     pub fn open(path: &Path, quota: Quota) -> io::Result<Self> {
         Self::open_on(Disk::REAL, path, quota)
     }
@@ -211,7 +213,7 @@ impl EventFolder {
         for path in unfinished {
             folder.discard(path);
         }
-        // Better refused at the start than counted at the first alarm.
+        // An error at the start is better than a lost event at the first alarm.
         tempfile::tempfile_in(path)?;
         Ok(folder)
     }
@@ -220,12 +222,12 @@ impl EventFolder {
         &self.path
     }
 
-    /// Events that were removed since the folder was opened, for others or because they were old.
+    /// Number of events that were removed since the folder was opened, to make room or because they were old.
     pub fn removed(&self) -> u64 {
         self.removed
     }
 
-    /// Adds an event, which is on the disk when this returns; the oldest go for it.
+    /// Adds an event, which is on the disk when this returns. The oldest events are removed to make room.
     pub fn add(&mut self, event: &Event, files: &[(String, Vec<u8>)]) -> io::Result<()> {
         let json = serde_json::to_vec_pretty(event)?;
         let bytes = json.len() + files.iter().map(|(_, bytes)| bytes.len()).sum::<usize>();
@@ -256,7 +258,7 @@ impl EventFolder {
         placed
     }
 
-    /// Writes an event beside its place; gives where.
+    /// Writes an event under another name; returns its path.
     fn write(&mut self, json: &[u8], files: &[(String, Vec<u8>)]) -> io::Result<PathBuf> {
         let unfinished = self.free_name("", |name| fs::create_dir(name))?;
         let files = files
@@ -294,11 +296,13 @@ impl EventFolder {
             written: Written::InThisRun(Instant::now()),
         });
         self.next += 1;
-        // When this fails the event is there, whole, and counts; whether it stays is not known, so it is not told as written.
+        // If this fails, the event is there, complete, and counts. Whether it stays is not known, so it is not reported
+        // as written.
         sync_folder(&self.path)
     }
 
-    /// Removes events that are kept for longer than they may be, at the time `now`. One whose age is not known goes by the quota.
+    /// Removes events that are older than allowed at the time `now`. An event whose age is not known is removed only by
+    /// the quota.
     pub fn expire(&mut self, now: SystemTime) -> io::Result<()> {
         let Some(keep) = self.quota.keep else {
             return Ok(());
@@ -307,7 +311,7 @@ impl EventFolder {
         let old = |event: &OnDisk| event.written.age(now).is_some_and(|age| age > keep);
         let mut stay = None;
         let mut index = 0;
-        // Any of them: by a clock that jumped, the oldest may be the newest.
+        // All events are checked: if the clock jumped, the oldest may be the newest.
         while index < self.events.len() {
             if !old(&self.events[index]) {
                 index += 1;
@@ -322,7 +326,7 @@ impl EventFolder {
     /// Removes the oldest events until there is room for another one of `bytes`.
     fn make_room(&mut self, bytes: u64) -> io::Result<()> {
         let mut stay = None;
-        // Before this one all events stay.
+        // Events before this index stay.
         let mut index = 0;
         while self.events.len() >= self.quota.events
             || self.bytes().saturating_add(bytes) > self.quota.bytes
@@ -330,7 +334,7 @@ impl EventFolder {
             if index == self.events.len() {
                 let why = stay.map_or_else(String::new, |error| format!(": {error}"));
                 return Err(io::Error::other(format!(
-                    "the quota is full of what cannot be removed{why}"
+                    "the quota is full of files that cannot be removed{why}"
                 )));
             }
             if let Err(error) = self.remove(index) {
@@ -340,14 +344,14 @@ impl EventFolder {
         }
         if let Some(error) = stay {
             log::warn!(
-                "evidence {}: a newer event went instead: {error}",
+                "evidence {}: cannot be removed, a newer event was removed instead: {error}",
                 self.path.display()
             );
         }
         Ok(())
     }
 
-    /// Bytes that count.
+    /// Bytes that count in the quota.
     fn bytes(&self) -> u64 {
         let events = self.events.iter().map(|event| event.bytes);
         events
@@ -355,7 +359,8 @@ impl EventFolder {
             .sum()
     }
 
-    /// Removes an event. It is forgotten only when it is gone; what somebody else has removed or made something else of, is.
+    /// Removes an event. It is dropped from the list only when it is gone, also if another program has removed or
+    /// changed it.
     fn remove(&mut self, index: usize) -> io::Result<()> {
         let place = self.at(self.events[index].number);
         if !is_event(&place)? {
@@ -366,16 +371,17 @@ impl EventFolder {
         let gone = self
             .free_name(GONE, |name| rename_to_free_name(&place, name))
             .map_err(named)?;
-        // Before its files: half an event must not have its name after the power was cut.
+        // It is renamed before its files are removed, so that half an event does not have its name after the power was
+        // cut.
         let before = bytes_in(&gone).ok();
         let deleted = sync_folder(&self.path).and_then(|()| (self.disk.delete)(&gone));
         if let Err(error) = deleted {
-            // When nothing of it is lost yet, it is an event again.
+            // If nothing of it is lost yet, it becomes an event again.
             let whole = before.is_some() && bytes_in(&gone).ok() == before;
             if whole && is_event(&gone).unwrap_or(false) && put_in_place(&gone, &place).is_ok() {
                 return Err(named(error));
             }
-            log::warn!("evidence {}: left: {error}", gone.display());
+            log::warn!("evidence {}: cannot be removed: {error}", gone.display());
             self.leave(gone);
         }
         self.events.remove(index);
@@ -383,10 +389,10 @@ impl EventFolder {
         Ok(())
     }
 
-    /// Removes what is no event; tried again later when it cannot be.
+    /// Removes what is not an event. If this fails, it is tried again later.
     fn discard(&mut self, path: PathBuf) {
         if let Err(error) = self.deleted(&path) {
-            log::warn!("evidence {}: left: {error}", path.display());
+            log::warn!("evidence {}: cannot be removed: {error}", path.display());
             self.leave(path);
         }
     }
@@ -416,7 +422,7 @@ impl EventFolder {
         self.path.join(name_of(number))
     }
 
-    /// Does `take` with the first name of an unfinished event that nothing has; gives the name.
+    /// Calls `take` with the first free name of an unfinished event; returns the name.
     fn free_name(&self, end: &str, take: impl Fn(&Path) -> io::Result<()>) -> io::Result<PathBuf> {
         let mut number = self.next;
         loop {
@@ -429,7 +435,7 @@ impl EventFolder {
     }
 }
 
-/// Whether the disk has no room, or its owner may have no more of it.
+/// Whether the disk is full, or the quota of its owner is used up.
 fn is_full(error: &io::Error) -> bool {
     matches!(
         error.kind(),
@@ -437,7 +443,7 @@ fn is_full(error: &io::Error) -> bool {
     )
 }
 
-/// Whether a folder is that of an event; a link to one is not.
+/// Whether a folder is the folder of an event; a link to such a folder is not.
 fn is_event(folder: &Path) -> io::Result<bool> {
     let kind = |path: &Path| match path.symlink_metadata() {
         Err(error)
@@ -458,16 +464,16 @@ fn name_of(number: u64) -> String {
     format!("{number:06}")
 }
 
-/// The number of an event by the name of its folder, which is written in one way only.
+/// The number of an event from the name of its folder, which can be written in only one way.
 fn number(name: &str) -> Option<u64> {
     let number = name.parse().ok().filter(|&number| number <= NUMBER_MAX)?;
     (name == name_of(number)).then_some(number)
 }
 
-/// Whether a name is one that we give while an event is written or removed.
+/// Whether a name is one that is used while an event is written or removed.
 fn is_unfinished(name: &str) -> bool {
     let rest = name.strip_prefix(UNFINISHED);
-    // Earlier versions tried with "probe" whether the folder can be written.
+    // Earlier versions tested with "probe" whether the folder can be written to.
     rest.is_some_and(|rest| {
         rest == "probe" || number(rest.strip_suffix(GONE).unwrap_or(rest)).is_some()
     })

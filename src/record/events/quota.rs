@@ -2,22 +2,22 @@
 
 use std::time::Duration;
 
-/// How much a folder of evidence may hold, and for how long; the oldest events go first. While an event is written, its own
-/// files lie beside those that count: at most `bytes` once more. An event that cannot be removed keeps its place, and one for
-/// which there is no room then is not kept.
+/// How much a folder of evidence may hold, and for how long. The oldest events are removed first. While an event is
+/// written, its own files exist in addition to those that count: at most `bytes` once more. An event that cannot be
+/// removed continues to count, and a new event for which there is then no room is not kept.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Quota {
-    /// Bytes of all files.
+    /// Largest number of bytes of all files.
     pub bytes: u64,
-    /// Events.
+    /// Largest number of events.
     pub events: usize,
-    /// How long an event is kept; `None` = until the others want its place. One that was written before the computer's clock was
-    /// set has no age.
+    /// How long an event is kept; `None` = until its room is needed. An event that was written before the computer's
+    /// clock was set has no age.
     pub keep: Option<Duration>,
 }
 
 impl Default for Quota {
-    /// 256 MB and 200 events: a megabyte an event, at 1280x720.
+    /// 256 MB and 200 events: at 1280x720, an event has about a megabyte.
     fn default() -> Self {
         Self {
             bytes: 256_000_000,

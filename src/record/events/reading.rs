@@ -1,4 +1,4 @@
-//! Events read again. Nothing in them is trusted: names stay inside their folder and files have a size.
+//! Reads events. Nothing in them is trusted: names must stay inside their folder, and the size of files is limited.
 
 use std::fs::File;
 use std::io::Read;
@@ -20,12 +20,12 @@ pub struct ReadError {
     wanted: &'static str,
 }
 
-/// The events of a folder with their folders, oldest first; what is no event is passed over.
+/// The events of a folder with their folders, the oldest first. What is not an event is skipped.
 ///
 /// # Errors
 /// When the folder or an event cannot be read.
 pub fn read(folder: &Path) -> Result<Vec<(PathBuf, Event)>, ReadError> {
-    let wanted = "a folder that replay --evidence has written";
+    let wanted = "a folder written by --evidence";
     let refused = |path: &Path, found: String| ReadError {
         path: path.to_owned(),
         found,
@@ -55,7 +55,7 @@ pub fn read(folder: &Path) -> Result<Vec<(PathBuf, Event)>, ReadError> {
 /// A JPEG file of an event.
 ///
 /// # Errors
-/// When it is not one, or its name leads out of the folder.
+/// When it is not a JPEG file, or when its name leads out of the folder.
 pub fn picture(folder: &Path, name: &str) -> Result<Vec<u8>, ReadError> {
     let path = folder.join(name);
     let refused = |found: String| ReadError {
@@ -64,7 +64,7 @@ pub fn picture(folder: &Path, name: &str) -> Result<Vec<u8>, ReadError> {
         wanted: "a JPEG image inside the event's folder",
     };
     if Path::new(name).file_name() != Some(name.as_ref()) {
-        return Err(refused("a name that is none of a file".to_owned()));
+        return Err(refused("a name that is not the name of a file".to_owned()));
     }
     let bytes = bytes(&path).map_err(|error| refused(error.to_string()))?;
     if !bytes.starts_with(&[0xff, 0xd8, 0xff]) {

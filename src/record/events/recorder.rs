@@ -1,4 +1,4 @@
-//! Frames and verdicts on their way to the folder: a bounded queue, a writer beside the frame loop.
+//! Frames and verdicts on their way to the folder: a bounded queue, and a writer beside the frame loop.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::path::Path;
@@ -19,33 +19,33 @@ use super::event::{Event, Moment};
 use super::folder::EventFolder;
 use super::quota::Quota;
 
-/// Least time between two frames that are kept.
+/// Shortest time between two frames that are kept.
 const STEP: Duration = Duration::from_millis(200);
-/// How long before and after the beginning frames are kept.
+/// Time before and after the beginning of an alarm for which frames are kept.
 const AROUND: Duration = Duration::from_secs(2);
-/// An event ends after this long, also when alarms begin again and again: it lies in memory until then.
+/// An event ends after this time, also if alarms begin again and again, because it stays in memory until then.
 const LONGEST: Duration = Duration::from_secs(10);
 /// An event ends when no frame has come for this long.
 const NO_MORE: Duration = Duration::from_secs(10);
-/// Frames in memory before an alarm: those of [`AROUND`].
+/// Largest number of frames in memory before an alarm: those of [`AROUND`].
 const RING_MAX: usize = 10;
-/// How often it is looked whether an event has been kept long enough.
+/// Time between two checks whether events are too old.
 const EXPIRE_EVERY: Duration = Duration::from_secs(600);
-/// Messages on their way to the writer.
+/// Largest number of messages on their way to the writer.
 const QUEUE_MAX: usize = 16;
 /// Priority of the writer from 0 to 99; on Linux this is niceness 10, a tenth of a verdict's share of a busy processor.
 const WRITER_PRIORITY: u8 = 22;
 
-/// What became of the evidence.
+/// Counts of the evidence.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct EventCounts {
     /// Events written.
     pub events: u64,
-    /// Older events removed, for them or because they were kept long enough.
+    /// Older events that were removed, to make room or because of their age.
     pub removed: u64,
     /// Events that could not be written.
     pub failed: u64,
-    /// Frames that the writer had no time for.
+    /// Frames for which the writer had no time.
     pub dropped_frames: u64,
 }
 
@@ -69,7 +69,7 @@ pub struct EventRecorder {
     dropped_frames: u64,
 }
 
-/// Pictures may be late, verdicts may not.
+/// Lowers the priority of this thread, because pictures may be late, but verdicts may not.
 fn yield_to_verdicts() {
     let priority = ThreadPriorityValue::try_from(WRITER_PRIORITY);
     let lowered = priority.map(|value| ThreadPriority::Crossplatform(value).set_for_current());
@@ -79,8 +79,9 @@ fn yield_to_verdicts() {
 }
 
 impl EventRecorder {
-    /// Begins to record into `folder`, which is made if it is missing; events that are there stay, within the quota. What is no
-    /// event, which is a folder named by a number with an `event.json` in it, is left alone and does not count.
+    /// Begins to record into `folder`, which is created if it is missing. Events that are already there stay, within
+    /// the quota. An event is a folder that is named by a number and has an `event.json` in it; everything else is left
+    /// alone and does not count.
     ///
     /// # Errors
     /// When nothing can be written there.
@@ -104,7 +105,7 @@ impl EventRecorder {
         })
     }
 
-    /// Hands over to a queue of so many messages that nobody writes.
+    /// A recorder with a queue of `messages` messages and without a writer.
     #[cfg(test)]
     pub(crate) fn in_memory(messages: usize) -> (Self, Receiver<Message>) {
         let (sender, receiver) = sync_channel(messages);
@@ -119,13 +120,13 @@ impl EventRecorder {
         (recorder, receiver)
     }
 
-    /// Frames that the queue had no room for.
+    /// Number of frames for which the queue had no room.
     #[cfg(test)]
     pub(crate) fn dropped_frames(&self) -> u64 {
         self.dropped_frames
     }
 
-    /// For a recorded drive, which has time: a frame waits for the writer, and none is left out.
+    /// For a recorded drive, in which there is time: each frame waits for the writer, and none is left out.
     pub fn patient(self) -> Self {
         Self {
             patient: true,
@@ -133,8 +134,8 @@ impl EventRecorder {
         }
     }
 
-    /// Offers a frame with its verdict; never waits unless [patient](Self::patient), and copies no picture. `look` is asked for
-    /// at the beginning of an alarm only.
+    /// Offers a frame with its verdict; never waits unless [patient](Self::patient), and copies no picture. `look` is
+    /// called only at the beginning of an alarm.
     pub fn offer(&mut self, frame: Frame, verdict: &Verdict, look: impl FnOnce() -> Look) {
         let before = std::mem::replace(&mut self.state, verdict.state);
         let alarming = |state| matches!(state, AlarmState::Suspect | AlarmState::Gap);
@@ -183,7 +184,7 @@ impl EventRecorder {
     pub fn finish(self) -> EventCounts {
         drop(self.sender);
         let kept = self.writer.join().unwrap_or_else(|_| {
-            log::warn!("evidence: the writer broke off");
+            log::warn!("evidence: the writer ended with an internal error");
             EventCounts::default()
         });
         EventCounts {
@@ -202,17 +203,17 @@ struct Held {
 /// An event that is being gathered.
 struct Open {
     moments: Vec<Held>,
-    /// Which moment is the beginning of the alarm, and when that was.
+    /// Index of the moment at which the alarm began, and its time.
     edge: usize,
     began: Duration,
     until: Duration,
 }
 
-/// The other side of the queue.
+/// The thread that receives from the queue.
 struct Writer {
     folder: EventFolder,
     taps: Vec<String>,
-    /// The last moments, as their source gave them: nothing is compressed while nothing happens.
+    /// The last moments, as their source gave them. Nothing is compressed as long as there is no alarm.
     ring: VecDeque<Message>,
     /// The event that is being gathered.
     open: Option<Open>,
@@ -234,7 +235,7 @@ impl Writer {
         let mut expired = None;
         loop {
             let message = messages.recv_timeout(NO_MORE);
-            // Also while no frame comes: a parked car stands for weeks.
+            // Done also while no frame comes, because a car may be parked for weeks.
             if expired.is_none_or(|at: Instant| at.elapsed() >= EXPIRE_EVERY) {
                 expired = Some(Instant::now());
                 self.expire();
@@ -255,7 +256,7 @@ impl Writer {
     fn expire(&mut self) {
         if let Err(error) = self.folder.expire(SystemTime::now()) {
             let path = self.folder.path().display();
-            log::warn!("evidence {path}: kept for longer than it may be: {error}");
+            log::warn!("evidence {path}: old events cannot be removed: {error}");
         }
     }
 
@@ -266,7 +267,7 @@ impl Writer {
             self.close();
         }
         match (&mut self.open, edge) {
-            // From suspicion to gap: the same event, for longer.
+            // From suspicion to gap: the same event continues.
             (Some(open), true) => {
                 open.moments.extend(held(message, &self.taps));
                 open.until = (at + AROUND).min(open.began + LONGEST);
@@ -274,7 +275,7 @@ impl Writer {
             (Some(open), false) => open.moments.extend(held(message, &self.taps)),
             (None, true) => {
                 let before = self.ring.drain(..);
-                // After a pause the ring still holds what was long before it.
+                // After a pause, the ring still holds moments from long before.
                 let just_before =
                     |held: &Message| at.checked_sub(held.at).is_some_and(|ago| ago <= AROUND);
                 let mut moments: Vec<Held> = before
@@ -320,7 +321,7 @@ impl Writer {
     }
 }
 
-/// A moment as it is written; `None` of a picture that cannot be.
+/// A moment as it is written; `None` if the picture cannot be compressed.
 fn held(message: Message, taps: &[String]) -> Option<Held> {
     compressed(message, taps)
         .inspect_err(|error| log::warn!("evidence: {error}"))
@@ -333,7 +334,7 @@ fn compressed(message: Message, taps: &[String]) -> image::ImageResult<Held> {
     if let Some(look) = message.look {
         moment.profiles = look.profiles;
         for ((tap, energies), number) in taps.iter().zip(&look.energies).zip(1..) {
-            // Numbered, for names of taps may hold anything.
+            // Files are numbered, because names of taps may contain any character.
             let name = format!("heat-{:06}-{}.jpg", moment.seq, number);
             files.push((
                 name.clone(),

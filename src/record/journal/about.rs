@@ -23,7 +23,7 @@ pub struct FirstLine<'a> {
 pub struct About {
     /// Version of the program.
     pub gapwatch: String,
-    /// What was looked at, as typed.
+    /// The source, as typed.
     pub source: String,
     /// Name of the model.
     pub model: String,
@@ -31,22 +31,22 @@ pub struct About {
     pub model_sha256: String,
     /// The reference's file, or `built-in`.
     pub reference: String,
-    /// Made of simulation alone.
+    /// Whether the reference was made of simulation alone.
     pub strict: bool,
     /// How gaps were measured.
     pub metric: String,
     /// Length of the detector's window, seconds.
     pub window_s: f64,
-    /// Where the reference's medians and thresholds came from, and what they do not promise.
+    /// Where the reference's medians and thresholds come from, and what they do not guarantee.
     pub thresholds: String,
-    /// What is known of false alarms with them, in words.
+    /// What is known of false alarms with these thresholds, as text.
     pub false_alarms: String,
     /// The command that makes the reference again.
     pub calibrated_by: String,
 }
 
 impl About {
-    /// What is to be said of a run over `source` against the reference of that name.
+    /// Describes a run over `source` with the reference of that name.
     pub fn new(source: &str, name: &str, reference: &Reference) -> Self {
         Self {
             gapwatch: env!("CARGO_PKG_VERSION").to_owned(),
@@ -64,7 +64,7 @@ impl About {
     }
 }
 
-/// What was measured of false alarms, in words.
+/// What was measured of false alarms, as text.
 fn known_of(alarms: &FalseAlarms) -> String {
     let drives = |what: &str, on: &NominalDrives| {
         if on.hours <= 0.0 {

@@ -1,4 +1,4 @@
-//! A line of a journal: what is known after a frame, or when none came.
+//! A line of a journal: what is known after a frame, or when no frame came.
 
 use std::time::Duration;
 
@@ -26,7 +26,7 @@ pub struct Line<'a> {
     image: Option<Image>,
 }
 
-/// How good the picture was, to a thousandth.
+/// How good the picture was, rounded to a thousandth.
 #[derive(Serialize)]
 struct Image {
     brightness: f64,
@@ -79,7 +79,7 @@ impl<'a> Line<'a> {
     }
 }
 
-/// One number a tap, in the order of the taps; `null` where there is none.
+/// One number for each tap, in the order of the taps; `null` if there is none.
 struct PerTap<'a> {
     taps: &'a [String],
     blocks: &'a [BlockScore],

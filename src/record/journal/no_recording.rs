@@ -1,4 +1,4 @@
-//! What stands for a recording in a build that writes none.
+//! Replaces recordings in a build that cannot write them.
 
 use std::io;
 use std::path::Path;
@@ -9,11 +9,11 @@ use super::writing::JournalError;
 use crate::capture::Frame;
 use crate::monitor::judge::Verdict;
 
-/// There is none.
+/// A recording, which this build cannot make.
 pub enum RecordingJournal {}
 
 impl RecordingJournal {
-    /// Refuses.
+    /// Always fails.
     ///
     /// # Errors
     /// Always.

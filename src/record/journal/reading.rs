@@ -1,4 +1,5 @@
-//! Journals read again. A line that is not what a journal holds is refused by number, with what was found and wanted.
+//! Reads journals. A line that does not belong in a journal is an error with the line's number, and with what was found
+//! and wanted.
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -14,9 +15,9 @@ use crate::monitor::alarm::AlarmState;
 
 /// Longest line that is read: a thousand times a usual one.
 const LINE_MAX: u64 = 1 << 20;
-/// Most lines that are read: a week at 10 frames a second.
+/// Largest number of lines that are read: a week at 10 frames a second.
 const LINES_MAX: usize = 6_048_000;
-/// Most characters of a line that an error repeats.
+/// Largest number of characters of a line that an error repeats.
 const SHOWN_MAX: usize = 60;
 
 const STATES: [AlarmState; 6] = [
@@ -31,18 +32,18 @@ const STATES: [AlarmState; 6] = [
 /// A journal that cannot be read.
 #[derive(Debug, thiserror::Error)]
 pub enum ReadError {
-    /// The file itself.
+    /// The file cannot be read.
     #[error("journal {}: {error}", path.display())]
     Unreadable {
-        /// Which.
+        /// The file.
         path: PathBuf,
         /// Why.
         error: std::io::Error,
     },
-    /// It has no line of a frame.
-    #[error("journal {}: found no line; wanted at least one frame, as replay --journal writes them", .0.display())]
+    /// The journal has no line of a frame.
+    #[error("journal {}: found no line; wanted at least one frame, as --journal writes them", .0.display())]
     Empty(PathBuf),
-    /// It was written by another version.
+    /// The journal was written by another version.
     #[error("journal {}: found {found}; wanted version {VERSION}: make it again with replay --journal or monitor --journal of this gapwatch", path.display())]
     Version {
         /// Which file.
@@ -50,16 +51,16 @@ pub enum ReadError {
         /// The version that it has.
         found: String,
     },
-    /// One of its lines.
+    /// A line is wrong.
     #[error("journal {}, line {line}: found {found}; wanted {wanted}", path.display())]
     Line {
         /// Which file.
         path: PathBuf,
         /// From 1.
         line: usize,
-        /// What stands there.
+        /// What was found.
         found: String,
-        /// What would do.
+        /// What was wanted.
         wanted: String,
     },
 }
@@ -67,15 +68,15 @@ pub enum ReadError {
 /// One line: what was known after a frame.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Entry {
-    /// When it was told, seconds since the source began.
+    /// When the verdict was reported, seconds since the source began.
     pub t_s: f64,
-    /// Time of the frame, seconds since the source began; `None` for a verdict that no frame gave.
+    /// Time of the frame, seconds since the source began; `None` for a verdict without a frame.
     pub captured_s: Option<f64>,
-    /// Its number; `None` for a verdict that no frame gave.
+    /// Number of the frame; `None` for a verdict without a frame.
     pub sequence: Option<u64>,
-    /// What the car was told.
+    /// The state that was reported to the car.
     pub state: AlarmState,
-    /// Why, in the journal's word.
+    /// The reason for the state, with the journal's word.
     pub reason: String,
     /// The largest score of the blocks; `None` when the frame was not judged.
     pub score: Option<f64>,
@@ -87,7 +88,7 @@ pub struct Entry {
     pub tap_score: BTreeMap<String, Option<f64>>,
     /// `ok`, or why the frame was not judged.
     pub health: String,
-    /// From frame to verdict, milliseconds.
+    /// Time from frame to verdict, milliseconds.
     pub latency_ms: f64,
 }
 
@@ -98,16 +99,18 @@ pub struct Reading {
     pub about: About,
     /// When it began.
     pub began: ClockTime,
-    /// In order of time; never empty when read.
+    /// Lines in the order of time; never empty after reading.
     pub entries: Vec<Entry>,
-    /// The last line breaks off: the run was killed, or lost its power, while it wrote. It is left out.
+    /// Whether the last line is incomplete, because the run was killed or lost its power while it wrote. This line is
+    /// left out.
     pub breaks_off: bool,
 }
 
 /// Reads a journal, also one that is being written.
 ///
 /// # Errors
-/// When the file cannot be read, is of another version, has no line of a frame, or one of its lines is not a journal's.
+/// When the file cannot be read, is of another version, has no line of a frame, or has a line that does not belong in a
+/// journal.
 pub fn read(path: &Path) -> Result<Reading, ReadError> {
     let unreadable = |error| ReadError::Unreadable {
         path: path.to_owned(),
@@ -183,7 +186,7 @@ fn object(bytes: &[u8]) -> Result<Map<String, Value>, Mismatch> {
     }
 }
 
-/// The version by the first line. The first one had none, and began with a frame.
+/// The version according to the first line. Version 1 did not give it, and began with a frame.
 fn version(first: &Map<String, Value>) -> Result<u64, Mismatch> {
     match first.get("gapwatch_journal") {
         Some(version) => version.as_u64().ok_or_else(|| {
@@ -198,7 +201,7 @@ fn version(first: &Map<String, Value>) -> Result<u64, Mismatch> {
     }
 }
 
-/// A part of the first line; one that is left out says nothing.
+/// A part of the first line; a default if it is missing.
 fn part<T: Default + DeserializeOwned>(
     first: &Map<String, Value>,
     key: &str,
@@ -248,7 +251,7 @@ fn entry(object: &Map<String, Value>) -> Result<Entry, Mismatch> {
     })
 }
 
-/// One number a tap; none where the line does not say.
+/// One number for each tap; empty if the line does not have them.
 fn per_tap(
     object: &Map<String, Value>,
     key: &str,
@@ -263,7 +266,7 @@ fn per_tap(
         .collect()
 }
 
-/// The number, or that there is none; `None` when it is something else.
+/// The number, or that there is none; `None` if it is something else.
 #[allow(clippy::option_option)]
 fn number_or_null(value: &Value) -> Option<Option<f64>> {
     if value.is_null() {
@@ -273,7 +276,7 @@ fn number_or_null(value: &Value) -> Option<Option<f64>> {
     }
 }
 
-/// What a line says, if it says it.
+/// The value of a key, if the line has it.
 fn given<'a>(object: &'a Map<String, Value>, key: &str) -> Option<&'a Value> {
     object.get(key).filter(|value| !value.is_null())
 }
@@ -289,7 +292,7 @@ fn mismatch(object: &Map<String, Value>, key: &str, wanted: &str) -> Mismatch {
     (format!("{key}: {}", shown(&found)), wanted.to_owned())
 }
 
-/// Text of others for one line of an error: cut, and without what could move the cursor.
+/// Text from a file for one line of an error: cut, and without characters that could move the cursor.
 fn shown(text: &str) -> String {
     let cut: String = text.chars().take(SHOWN_MAX).collect();
     let more = if cut.len() < text.len() { "…" } else { "" };

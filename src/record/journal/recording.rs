@@ -1,4 +1,4 @@
-//! Journal as an MCAP recording: verdicts beside the images that they are about, on one line of time.
+//! A journal as an MCAP recording: verdicts beside the images that they are about, on one time line.
 //!
 //! | topic | schema | written as |
 //! |---|---|---|
@@ -28,9 +28,9 @@ use crate::monitor::judge::Verdict;
 
 /// The journal's line as a schema; the taps are added to its objects.
 const VERDICT_SCHEMA: &str = include_str!("verdict.schema.json");
-/// The objects of a line with one number a tap.
+/// The objects of a line that have one number for each tap.
 const PER_TAP: [&str; 3] = ["gap", "similarity", "tap_score"];
-/// Fields of `sensor_msgs/msg/CompressedImage` and of the messages in it, in the words of ROS 2.
+/// Fields of `sensor_msgs/msg/CompressedImage` and of the messages in it, in the notation of ROS 2.
 const IMAGE_SCHEMA: &str = "std_msgs/Header header
 string format
 uint8[] data
@@ -114,7 +114,7 @@ impl RecordingJournal {
         })
     }
 
-    /// Puts time 0 of the run where its source's clock had it.
+    /// Sets the time of the source's clock at time 0 of the run.
     pub fn begin_at(&mut self, began_at: Duration) {
         self.began_at = began_at;
     }
@@ -122,7 +122,7 @@ impl RecordingJournal {
     /// Adds a frame's picture, if it has one.
     ///
     /// # Errors
-    /// When the disk does not take it.
+    /// When it cannot be written.
     pub fn add_image(&mut self, frame: &Frame) -> Result<(), JournalError> {
         let Ok(pixels) = &frame.picture else {
             return Ok(());
@@ -148,7 +148,7 @@ impl RecordingJournal {
     /// Adds a verdict and the time it took from frame to verdict.
     ///
     /// # Errors
-    /// When the disk does not take it.
+    /// When it cannot be written.
     pub fn add(&mut self, verdict: &Verdict, latency: Duration) -> Result<(), JournalError> {
         let line = Line::new(&self.taps, verdict.at, verdict, latency);
         let message = serde_json::to_value(line)
@@ -175,7 +175,7 @@ impl RecordingJournal {
     /// Puts the file in place.
     ///
     /// # Errors
-    /// When the disk does not take it.
+    /// When it cannot be written.
     pub fn finish(mut self) -> Result<(), JournalError> {
         let finished = self.writer.finish().map_err(io_error);
         finished.map_err(|error| self.failed(error))?;
@@ -201,7 +201,7 @@ fn io_error(error: McapError) -> io::Error {
     }
 }
 
-/// The schema of verdicts, with the names of the taps: viewers offer what a schema names.
+/// The schema of verdicts, with the names of the taps, because viewers offer what a schema names.
 fn verdict_schema(taps: &[String]) -> io::Result<Vec<u8>> {
     let mut schema: Value = serde_json::from_str(VERDICT_SCHEMA)?;
     for object in PER_TAP {
@@ -213,7 +213,7 @@ fn verdict_schema(taps: &[String]) -> io::Result<Vec<u8>> {
     Ok(serde_json::to_vec(&schema)?)
 }
 
-/// A number that is not there is left out: types of viewers have no "number or null".
+/// A missing number is left out, because the types of viewers have no "number or null".
 fn without_nulls(value: Value) -> Value {
     match value {
         Value::Object(fields) => fields

@@ -1,4 +1,4 @@
-//! A journal as it is written.
+//! Writes a journal.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -27,12 +27,12 @@ pub struct Journal {
     path: PathBuf,
     lines: Box<dyn Output>,
     taps: Vec<String>,
-    /// When the last line was told.
+    /// When the verdict of the last line was reported.
     told_at: Duration,
 }
 
 impl Journal {
-    /// Begins a journal of a model with these taps, whose file appears whole when it is finished.
+    /// Begins a journal of a model with these taps. Its file appears whole when it is finished.
     ///
     /// # Errors
     /// When nothing can be written there.
@@ -46,7 +46,7 @@ impl Journal {
         Self::begin(path, Box::new(lines), taps, began, about)
     }
 
-    /// As [`create`](Self::create), in a file whose lines are there as they are written.
+    /// Like [`create`](Self::create), in a file whose lines are present as soon as they are written.
     ///
     /// # Errors
     /// When nothing can be written there.
@@ -60,10 +60,10 @@ impl Journal {
         Self::begin(path, Box::new(lines), taps, began, about)
     }
 
-    /// As [`create`](Self::create), into a stream; `path` names it in errors.
+    /// Like [`create`](Self::create), into a stream; `path` names it in errors.
     ///
     /// # Errors
-    /// When it takes nothing.
+    /// When the stream cannot be written to.
     pub fn stream(
         path: &Path,
         out: impl io::Write + Send + 'static,
@@ -96,11 +96,11 @@ impl Journal {
         Ok(journal)
     }
 
-    /// Adds a verdict that is told at `now`, `latency` after its frame was taken. A time before that of the last line is taken
-    /// for the same time.
+    /// Adds a verdict that is reported at `now`, `latency` after its frame was taken. A time before that of the last
+    /// line is replaced by that of the last line.
     ///
     /// # Errors
-    /// When the output does not take it.
+    /// When it cannot be written.
     pub fn add(
         &mut self,
         now: Duration,
@@ -115,14 +115,14 @@ impl Journal {
     /// Ends the journal: its file is in place, and on the disk.
     ///
     /// # Errors
-    /// When the output does not take it.
+    /// When it cannot be written.
     pub fn finish(self) -> Result<(), JournalError> {
         let finished = self.lines.finish();
         finished.map_err(|error| failed(&self.path, error))
     }
 }
 
-/// With one call, as an [`Output`] wants it.
+/// Writes the line with one call, as an [`Output`] requires.
 fn write_line(out: &mut Box<dyn Output>, line: &impl Serialize) -> io::Result<()> {
     let mut bytes = serde_json::to_vec(line)?;
     bytes.push(b'\n');

@@ -23,7 +23,7 @@ fn quota(events: usize, bytes: u64) -> Quota {
     }
 }
 
-/// An event that is told from others by its time, with one picture.
+/// An event that differs from others in its time, with one picture.
 fn event(t_s: u32) -> Event {
     let moment = Moment {
         t_s: t_s.into(),
@@ -57,7 +57,7 @@ fn names(folder: &Path) -> BTreeSet<String> {
         .collect()
 }
 
-/// Does not remove a folder with a file `stuck`, and half of one with a file `half`.
+/// Does not remove a folder with a file `stuck`, and removes only half of a folder with a file `half`.
 const STICKY: Disk = Disk {
     delete: |folder| {
         if folder.join("stuck").exists() {
@@ -94,7 +94,7 @@ fn a_clock_that_jumps_takes_nothing_of_this_run() {
     folder.expire(years_on).unwrap();
     assert_eq!(folder.removed(), 0);
     drop(folder);
-    // Of an earlier run it is as old as the clock says.
+    // An event of an earlier run is as old as the clock says.
     let mut folder = EventFolder::open(place.path(), quota).unwrap();
     folder.expire(SystemTime::now()).unwrap();
     assert_eq!(folder.removed(), 0);
@@ -130,7 +130,7 @@ fn an_event_of_unknown_age_is_not_old() {
     folder.expire(at(TODAY)).unwrap();
     assert_eq!(folder.removed(), 1);
     drop(folder);
-    // Of unknown age it still goes by the quota.
+    // An event of unknown age is still removed by the quota.
     age(&place.path().join("000002"), at(Duration::ZERO));
     let mut folder = EventFolder::open(place.path(), quota).unwrap();
     for t_s in 3..=4 {
@@ -142,7 +142,7 @@ fn an_event_of_unknown_age_is_not_old() {
     );
 }
 
-/// Puts what is no event into a folder; gives the names.
+/// Puts files that are not events into a folder; returns their names.
 fn strangers(folder: &Path) -> BTreeSet<String> {
     let place = |name: &str| folder.join(name);
     fs::write(place("000123"), "a file").unwrap();
@@ -151,7 +151,7 @@ fn strangers(folder: &Path) -> BTreeSet<String> {
     fs::write(place(".unfinished-000001-gone"), "a file").unwrap();
     fs::write(place(".unfinished-probe"), "a file").unwrap();
     fs::create_dir(place(".unfinished-y")).unwrap();
-    // Neither hollow nor empty folders are events, whatever their number.
+    // Folders without an `event.json` and empty folders are not events, whatever their number.
     fs::create_dir(place("000002")).unwrap();
     fs::create_dir(place("000003")).unwrap();
     fs::write(place("000003/notes.txt"), "mine").unwrap();
@@ -184,7 +184,7 @@ fn what_is_no_event_is_left_alone() {
     let there = names(place.path());
     assert!(there.is_superset(&strange));
     let new: Vec<&String> = there.difference(&strange).collect();
-    // Numbers that are taken are passed over: 1, 5, 7, 8, 9 and 10.
+    // Numbers that are in use are skipped: 1, 5, 7, 8, 9 and 10.
     assert_eq!(new, ours.iter().collect::<Vec<_>>());
     let read: Vec<Event> = (read(place.path()).unwrap().into_iter())
         .map(|(_, event)| event)
@@ -229,7 +229,7 @@ fn an_event_that_cannot_be_removed_keeps_its_place_in_the_quota() {
         folder.add(&event(t_s), &[]).unwrap();
     }
     fs::write(stuck(1), "").unwrap();
-    // The next oldest goes instead.
+    // The next oldest event is removed instead.
     folder.add(&event(3), &[]).unwrap();
     fs::write(stuck(3), "").unwrap();
     let before = names(place.path());
@@ -244,7 +244,7 @@ fn an_event_that_cannot_be_removed_keeps_its_place_in_the_quota() {
     );
     assert_eq!(names(place.path()), before);
     assert_eq!(read(place.path()).unwrap().len(), 2);
-    // Nor is it forgotten when it is old.
+    // It is not forgotten either when it is old.
     drop(folder);
     for number in [1, 3] {
         age(stuck(number).parent().unwrap(), at(TODAY - 60 * DAY));
@@ -333,7 +333,7 @@ fn the_last_number_is_given_and_none_after_it() {
 fn an_event_that_cannot_have_its_name_uses_no_number_up() {
     let place = tempfile::tempdir().unwrap();
     let mut folder = EventFolder::open(place.path(), quota(9, 10_000)).unwrap();
-    // So that one that tries every number comes to their end.
+    // So that a search that tries every number reaches the end.
     folder.next = NUMBER_MAX;
     let error = folder.place(&place.path().join("missing"), 1).unwrap_err();
     assert_eq!(error.kind(), io::ErrorKind::NotFound);
@@ -351,7 +351,7 @@ fn a_quota_may_be_filled_to_the_last_byte() {
         folder.add(&event(t_s), &files(100)).unwrap();
     }
     assert_eq!((folder.removed(), folder.bytes()), (0, all.bytes));
-    // One byte more costs the oldest.
+    // With one more byte, the oldest event is removed.
     folder.add(&event(3), &files(101)).unwrap();
     assert_eq!(names(place.path()), BTreeSet::from(["000003".to_owned()]));
     let whole = 2 * (json + 100) - json;
@@ -397,7 +397,7 @@ fn what_somebody_else_has_removed_counts_no_more() {
     assert!(folder.add(&event(1), &files(300)).is_err());
     fs::remove_dir_all(&left).unwrap();
     folder.add(&event(1), &files(300)).unwrap();
-    // An event is forgotten, and was not removed for the next one.
+    // An event is lost, but was not removed for the next one.
     let first = names(place.path()).pop_first().unwrap();
     fs::remove_dir_all(place.path().join(&first)).unwrap();
     folder.add(&event(2), &files(300)).unwrap();
@@ -422,7 +422,7 @@ fn an_event_that_lost_a_file_is_none_again() {
     let read = read(place.path()).unwrap();
     let left: Vec<Event> = read.into_iter().map(|(_, event)| event).collect();
     assert_eq!((left, folder.removed()), (vec![event(2)], 1));
-    // Its description is there, and counts.
+    // Its description still exists, and counts.
     assert_eq!((folder.leftovers.len(), names(place.path()).len()), (1, 2));
     assert!(folder.leftovers[0].bytes > 0);
 }

@@ -68,7 +68,7 @@ fn record(folder: &Path, quota: Quota, count: u64) -> EventCounts {
         };
         offer(&mut recorder, tenth, state);
         if tenth % 100 == 99 {
-            // A slow disk has the time between two alarms to write the first.
+            // A slow disk needs the time between two alarms to write the first event.
             std::thread::sleep(Duration::from_millis(500));
         }
     }
@@ -108,8 +108,8 @@ fn what_was_long_before_an_alarm_is_not_of_its_event() {
     let mut recorder = EventRecorder::start(folder.path(), Quota::default(), &[])
         .unwrap()
         .patient();
-    // One frame, ten minutes of nothing, and an alarm with the first frame, as of a camera that was unplugged; then a frame
-    // every second, as of a parked car, and another alarm; then one that begins before the last frame.
+    // One frame, ten minutes without frames, and an alarm with the next frame, like after a camera was unplugged; then
+    // a frame every second, like in a parked car, and another alarm; then an alarm that begins before the last frame.
     let (ok, gap) = (AlarmState::Ok, AlarmState::Gap);
     for (tenth, state) in [
         (0, ok),
@@ -136,7 +136,7 @@ fn what_was_long_before_an_alarm_is_not_of_its_event() {
 fn the_last_moments_are_written_when_the_program_ends() {
     let folder = tempfile::tempdir().unwrap();
     let mut recorder = EventRecorder::start(folder.path(), Quota::default(), &[]).unwrap();
-    // Fewer than wait for the writer, and the alarm with the last.
+    // Fewer frames than the queue can hold, and an alarm with the last frame.
     for tenth in [0, 2, 4, 6] {
         offer(&mut recorder, tenth, AlarmState::Ok);
     }
@@ -184,7 +184,7 @@ fn the_quota_is_kept_and_the_oldest_go_first() {
         events.iter().map(|(_, e)| e.moments[e.edge].t_s).collect()
     };
     assert_eq!(begun(&read(folder.path()).unwrap()), [25.0, 35.0, 45.0]);
-    // A later run goes on in the same folder, now with room for the bytes of one event and a half.
+    // A later run continues in the same folder, now with room for the bytes of one and a half events.
     let size: u64 = fs::read_dir(folder.path().join("000005"))
         .unwrap()
         .map(|file| file.unwrap().metadata().unwrap().len())
@@ -197,7 +197,7 @@ fn the_quota_is_kept_and_the_oldest_go_first() {
     let kept = record(folder.path(), quota, 1);
     assert_eq!((kept.events, kept.removed), (1, 3));
     assert_eq!(begun(&read(folder.path()).unwrap()), [5.0]);
-    // What is larger than the whole quota is not written, and nothing goes for it.
+    // An event that is larger than the whole quota is not written, and nothing is removed for it.
     let quota = Quota {
         bytes: size / 2,
         events: 100,

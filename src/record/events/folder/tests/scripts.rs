@@ -18,7 +18,7 @@ impl Dice {
 
 /// What must be in the folder.
 struct Expected {
-    /// By name: the event, and when the folder says it was written, `None` in this run.
+    /// By name: the event, and when it was written according to the folder; `None` in this run.
     events: BTreeMap<String, (Event, Option<Duration>)>,
     strange: BTreeSet<String>,
     quota: Quota,
@@ -29,7 +29,7 @@ struct Script<'a> {
     place: &'a Path,
     folder: Option<EventFolder>,
     expected: Expected,
-    /// Removed of this opening.
+    /// Number of events removed since the folder was opened.
     removed: u64,
     told: u32,
     /// Bytes of each event.
@@ -45,7 +45,7 @@ impl Script<'_> {
         self.place.join(name).join("stuck").exists()
     }
 
-    /// Events that are there, whole.
+    /// Events that are there and complete.
     fn there(&self) -> BTreeMap<String, Event> {
         let events = read(self.place).unwrap().into_iter();
         events
@@ -74,13 +74,14 @@ impl Script<'_> {
         self.removed += gone.len() as u64;
         let last_gone = gone.last().map(|name| self.sizes[*name]);
         for name in &gone {
-            // No event that could go is older than one that went.
+            // No event that could be removed is older than one that was removed.
             let older = stay.iter().filter(|stays| stays < &name);
             assert!(older.clone().all(|stays| self.marked(stays)));
             self.expected.events.remove(*name);
         }
         if let Err(error) = added {
-            // Refused events cost others only where something in the way kept the room from being enough.
+            // For refused events, others are removed only if there was not enough room because something could not be
+            // removed.
             let full = error.to_string().contains("quota is full");
             assert_eq!(full, writable, "{error}");
             assert!(full || gone.is_empty());
@@ -97,7 +98,7 @@ impl Script<'_> {
         let bytes = own.map(|name| bytes_in(&self.place.join(name)).unwrap());
         let (bytes, most) = (bytes.sum::<u64>(), self.expected.quota.bytes);
         assert!(bytes <= most);
-        // None went in vain.
+        // No event was removed needlessly.
         let by_count = there.len() == self.expected.quota.events;
         assert!(last_gone.is_none_or(|gone| by_count || bytes + gone > most));
         let size = size as u64 + serde_json::to_vec_pretty(&event).unwrap().len() as u64;
@@ -132,7 +133,7 @@ impl Script<'_> {
         self.expected.events.extend(kept.into_iter().chain(stuck));
     }
 
-    /// Marks an event so that it cannot be removed, or not wholly, or takes such marks away.
+    /// Marks an event so that it cannot be removed, or not completely, or removes these marks.
     fn mark(&mut self) {
         let ours = names(self.place);
         let ours: Vec<&String> = ours.difference(&self.expected.strange).collect();
@@ -152,7 +153,7 @@ impl Script<'_> {
         age(&place, written);
     }
 
-    /// Puts something into the folder that is none of ours.
+    /// Puts something into the folder that is not part of it.
     fn disturb(&mut self) {
         let near = u64::from(self.told);
         let number = self.dice.below(near + 3);
@@ -237,7 +238,7 @@ impl Script<'_> {
 fn whatever_happens_to_a_folder_the_quota_holds_and_nothing_else_is_touched() {
     let (mut kept, mut removed, mut refused) = (0, 0, 0);
     for seed in 0..60 {
-        // In memory where there is such a folder: thousands of files are synced.
+        // In memory if this folder exists, because thousands of files are synced.
         let memory = Path::new("/dev/shm");
         let place = match memory.is_dir() {
             true => tempfile::tempdir_in(memory).unwrap(),
@@ -275,6 +276,6 @@ fn whatever_happens_to_a_folder_the_quota_holds_and_nothing_else_is_touched() {
         }
         kept += script.expected.events.len();
     }
-    // The scripts came to all of it.
+    // The scripts covered all cases.
     assert!(kept > 60 && removed > 60 && refused > 60);
 }
