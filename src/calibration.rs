@@ -1,4 +1,5 @@
-//! Nominal drives to a reference: what the encoder saw of them, what is nominal, and the thresholds for a rate of false alarms.
+//! Makes a reference from nominal drives: what the encoder saw of them, what is nominal, and the thresholds for a rate
+//! of false alarms.
 
 pub mod survey;
 

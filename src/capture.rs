@@ -1,7 +1,7 @@
-//! Frames and where they come from: the entrance of the chain.
+//! Frames and where they come from: the beginning of the chain.
 //!
-//! Owns opening sources by name and reading pictures. A picture that cannot be read is not the end of a source: it
-//! travels as a frame with its error, so that the monitor can say what it did not see.
+//! It opens sources by name and reads pictures. A picture that cannot be read does not end a source: it becomes a frame
+//! with an error, so that the monitor can report what it did not see.
 
 pub mod clock;
 pub mod undefined;

@@ -1,4 +1,4 @@
-//! What is nominal: the metrics of a gap, and the reference file that holds them with their thresholds.
+//! What is nominal: the metrics of a gap, and the reference file with nominal values and thresholds.
 
 pub mod gap;
 

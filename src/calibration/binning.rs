@@ -6,37 +6,37 @@ use crate::features::histogram::{Binning, HistogramSum};
 use crate::reference::gap::{Metric, PAPER_FIRST_LEVEL, PAPER_LEVELS, PAPER_TEMPERATURE};
 use crate::statistics::quantile::median;
 
-/// Softmax temperature of the attention histogram, share of the median peak energy. A fixed temperature of 10 keeps about
-/// one pixel an image of a trained net (`calibration/RESULTS.md`, field_sets, has both).
+/// Softmax temperature of the attention histogram, as a share of the median peak energy. With a trained network, a
+/// fixed temperature of 10 keeps only about one pixel of each image (`calibration/RESULTS.md`, field_sets, has both).
 pub const TEMPERATURE_SHARE: f64 = 0.2;
-/// Added to energies before the logarithm, share of the median peak energy.
+/// Value that is added to energies before the logarithm, as a share of the median peak energy.
 pub const EPSILON_SHARE: f64 = 1e-6;
-/// Bins of equal mass of the log-energy histogram.
+/// Number of bins of equal mass in the log-energy histogram.
 pub const LOG_ENERGY_BINS: usize = 64;
-/// Cells of the fine grid on which bin edges may lie.
+/// Number of cells of the fine grid on which bin edges are chosen.
 const GRID_CELLS: usize = 1 << 16;
 /// A temperature as a user gives it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Temperature {
-    /// Energy units.
+    /// In units of energy.
     Absolute(f64),
-    /// Times the reference's median peak energy.
+    /// As a multiple of the reference's median peak energy.
     OfPeak(f64),
 }
 
-/// How the metric `paper` counts, when not as published.
+/// How the metric `paper` counts, if it is changed from the paper.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PaperBinning {
     /// Softmax temperature.
     pub temperature: Temperature,
     /// Levels of the histogram.
     pub levels: usize,
-    /// First level counted.
+    /// First level that is counted.
     pub first: usize,
 }
 
 impl PaperBinning {
-    /// As published.
+    /// As in the paper.
     pub const PUBLISHED: Self = Self {
         temperature: Temperature::Absolute(PAPER_TEMPERATURE),
         levels: PAPER_LEVELS,
@@ -44,7 +44,7 @@ impl PaperBinning {
     };
 }
 
-/// Nominal histograms of one tap before thresholds: the common part of references and comparisons.
+/// Nominal histograms of one tap, without thresholds: the common part of references and comparisons.
 #[derive(Clone, Debug)]
 pub struct TapHistogram {
     /// Median over the images of the largest energy.
@@ -56,10 +56,10 @@ pub struct TapHistogram {
 }
 
 impl TapHistogram {
-    /// Scale, edges and counts of maps of the common size.
+    /// Finds scale and edges, and counts the maps, which have the common size.
     ///
     /// # Errors
-    /// `TooFewImages` without any map, `ConstantMap` for a constant one.
+    /// `TooFewImages` without any map, `ConstantMap` for a constant map.
     pub fn fit(
         maps: &[&EnergyMap],
         metric: Metric,
@@ -84,15 +84,15 @@ impl TapHistogram {
     /// Counts one more map.
     ///
     /// # Errors
-    /// `ConstantMap`.
+    /// `ConstantMap` for a constant map.
     pub fn add(&mut self, map: &EnergyMap) -> Result<(), Undefined> {
         self.sum.add(&counts_of(&self.binning, map)?);
         Ok(())
     }
 }
 
-/// What the peaks of all images say about how pixels are to be counted: the first of three looks at them. The second sums
-/// the masses between which edges lie, the third counts.
+/// What the peaks of all images say about how to count pixels. This is the first of three passes over the images; the
+/// second one sums the masses from which the edges follow, and the third one counts.
 pub struct Cut {
     median_peak_energy: f64,
     by: CutBy,
@@ -108,10 +108,10 @@ enum CutBy {
 }
 
 impl Cut {
-    /// From the largest energy of each image at the common size.
+    /// Made from the largest energy of each image at the common size.
     ///
     /// # Errors
-    /// `TooFewImages` without any, `NoScore` of a metric without histograms.
+    /// `TooFewImages` without any image, `NoScore` for a metric without histograms.
     pub fn of(peaks: Vec<f64>, metric: Metric, paper: PaperBinning) -> Result<Self, Undefined> {
         let peak = peaks.iter().copied().fold(0.0, f64::max);
         let median_peak_energy = median(peaks).ok_or(Undefined::TooFewImages {
@@ -146,7 +146,7 @@ impl Cut {
         })
     }
 
-    /// Masses with nothing summed yet; of attention, which needs none, without cells.
+    /// Masses with nothing summed yet; without cells for attention, which needs none.
     #[allow(clippy::cast_precision_loss)]
     pub fn masses(&self) -> Masses {
         match self.by {
@@ -169,7 +169,7 @@ impl Cut {
         }
     }
 
-    /// How pixels are counted, and no counts yet.
+    /// How pixels are counted, with no counts yet.
     pub fn nothing_counted(&self, masses: &Masses) -> TapHistogram {
         let binning = match &self.by {
             CutBy::Levels(binning) => binning.clone(),
@@ -229,10 +229,10 @@ impl Masses {
     }
 }
 
-/// Counts of one map.
+/// The counts of one map.
 ///
 /// # Errors
-/// `ConstantMap`.
+/// `ConstantMap` for a constant map.
 pub fn counts_of(binning: &Binning, map: &EnergyMap) -> Result<Vec<u32>, Undefined> {
     let mut counts = vec![0; binning.bins()];
     binning.count(map, &mut counts).map(|()| counts)
@@ -271,7 +271,7 @@ pub(super) mod tests {
 
     #[test]
     fn edges_that_tie_are_merged() {
-        // Three quarters of the pixels have no energy: they fill one bin, and the rest shares the other 16 or so.
+        // Three quarters of the pixels have no energy: they fill one bin, and the others share about 16 bins.
         let mut map = ramp(0, 1_600);
         map.energy.extend(vec![0.0; 4_800]);
         let fitted = TapHistogram::fit(&[&map], LOG_ENERGY, PaperBinning::PUBLISHED).unwrap();

@@ -14,10 +14,10 @@ use crate::statistics::quantile::{median, quantile};
 
 /// Window lengths, frames, for which medians and thresholds are kept.
 const WINDOW_FRAMES: [usize; 5] = [1, 2, 5, 10, 20];
-/// Fewest held-out frames that a scale is made from.
+/// Smallest number of held-out frames for a scale.
 const HELD_OUT_MIN: usize = 20;
-/// Share of held-out windows below the threshold before the rate of false alarms moves all thresholds together: it sets
-/// how the taps and window lengths weigh against each other.
+/// Share of held-out windows below the threshold, before the rate of false alarms moves all thresholds together. It
+/// sets the relative weight of the taps and window lengths.
 const THRESHOLD_QUANTILE: f64 = 0.99;
 
 /// Nominal drives of one domain.
@@ -28,24 +28,24 @@ pub struct Domain<'a, D> {
     pub drives: &'a [D],
 }
 
-/// What came of a calibration.
+/// The result of a calibration.
 pub struct Calibrated {
     /// The nominal domains with their thresholds.
     pub components: Vec<Component>,
     /// How often nominal drives enter `Gap`.
     pub false_alarms: FalseAlarms,
-    /// What was looked at.
+    /// The sources that were used.
     pub sources: Vec<SourceUse>,
 }
 
-/// How often [`calibrate`] looks at drives in all, once for each drive each time.
+/// How often [`calibrate`] looks at drives in total, counting each drive each time.
 pub fn looks<D: SurveyedDrive, L: LabelledDrive>(
     domains: &[Domain<'_, D>],
     held_out: &[D],
     labelled: &[L],
     metric: Metric,
 ) -> u64 {
-    // Peaks, then masses and counts of histograms, or moments.
+    // Peaks, then masses and counts for histograms, or moments.
     let of_fitted = match metric {
         Metric::LogEnergy(_) => 3,
         _ => 2,
@@ -65,16 +65,16 @@ pub fn looks<D: SurveyedDrive, L: LabelledDrive>(
 
 /// Makes the nominal domains of a reference and the thresholds that keep the wanted rate of false alarms.
 ///
-/// The first domain is the simulation. Every second drive of each domain makes histograms or moments, the others scale the
-/// gaps of windows. The rate is set on three of every four drives of `held_out` and judged on the fourth; without any, the
-/// drives that scale the gaps serve for both, and the reference says so. `labelled` frames are for the metric `lane-risk`
-/// alone.
+/// The first domain is the simulation. Every second drive of each domain makes histograms or moments, and the others
+/// scale the gaps of windows. The rate is set on three of every four drives of `held_out` and judged on the fourth.
+/// Without held-out drives, the rate is set on the drives that scale the gaps, and the reference says so. `labelled`
+/// frames are only for the metric `lane-risk`.
 ///
-/// Drives are looked at several times, one a thread at a time; what is kept of them meanwhile is less than 100 bytes a
-/// frame. The result does not depend on the number of threads.
+/// Drives are looked at several times, and each thread holds one drive at a time. In between, less than 100 bytes are
+/// kept for each frame. The result does not depend on the number of threads.
 ///
 /// # Errors
-/// When a frame cannot be judged, too few are at hand, or a drive can no longer be read.
+/// When a frame cannot be judged, when there are too few frames, or when a drive can no longer be read.
 pub fn calibrate<D: SurveyedDrive, L: LabelledDrive>(
     domains: &[Domain<'_, D>],
     held_out: &[D],
@@ -168,7 +168,7 @@ pub fn calibrate<D: SurveyedDrive, L: LabelledDrive>(
     })
 }
 
-/// Scales the gaps of a domain by those of windows of its own drives.
+/// Scales the gaps of a domain with the gaps of windows of its own drives.
 fn scale<D: SurveyedDrive>(
     component: &mut Component,
     scaled: &[Stretch<'_, D>],
@@ -210,7 +210,7 @@ fn scale_point(mut gaps: Vec<f64>, frames: usize) -> Option<ScalePoint> {
     let (Some(median), Some(high)) = (median(gaps), high) else {
         return None;
     };
-    // A metric that cannot tell windows apart still gets a threshold above its median.
+    // A metric that cannot distinguish windows still gets a threshold above its median.
     let threshold = high.max(median + SPREAD_MIN);
     (windows >= 2).then_some(ScalePoint {
         frames,
@@ -254,7 +254,7 @@ mod tests {
         }
     }
 
-    /// A drive of 60 frames, each with another map.
+    /// A drive of 60 frames, each with a different map.
     fn counted(seed: usize) -> Counted {
         let frames = (0..60).map(|frame| {
             let map = ramp(100 * (seed + frame), 100 * (seed + frame) + 64);

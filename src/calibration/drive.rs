@@ -18,29 +18,29 @@ pub enum StoreError {
     /// The file or folder cannot be read or written.
     #[error("{}: {error}", path.display())]
     File {
-        /// Which.
+        /// The file or folder.
         path: PathBuf,
         /// Why.
         error: io::Error,
     },
-    /// The file is none of ours, or not as it was written.
+    /// The file is not a survey, or was changed after it was written.
     #[error("{}: {found}; wanted a survey of {source_name}, version {VERSION}", path.display())]
     Damaged {
         /// Which file.
         path: PathBuf,
         /// What was found.
         found: String,
-        /// The drive that it should be of.
+        /// The drive to which it should belong.
         source_name: String,
     },
 }
 
 /// A drive that can be looked at as often as needed: in memory, or kept on disk.
 pub trait SurveyedDrive: Sync {
-    /// As typed.
+    /// Its name, as typed.
     fn source(&self) -> &str;
 
-    /// Frames of the whole drive.
+    /// Number of frames of the whole drive.
     fn frames(&self) -> usize;
 
     /// What the encoder saw of it.
@@ -66,7 +66,7 @@ impl SurveyedDrive for Survey {
 
 /// Frames with lane labels that can be looked at as often as needed: in memory, or kept on disk.
 pub trait LabelledDrive: Sync {
-    /// How many.
+    /// Number of frames.
     fn frames(&self) -> usize;
 
     /// The frames.
@@ -91,6 +91,6 @@ impl LabelledDrive for LabelledMeans {
 pub struct LabelledMeans {
     /// Means of each block.
     pub means: Vec<BlockMeans>,
-    /// 1 - IoU / IoU of the same frame in plain day, 0 to 1.
+    /// 1 - IoU / IoU of the same frame on a plain day, 0 to 1.
     pub loss: f64,
 }

@@ -4,10 +4,10 @@ use super::drive::StoreError;
 use crate::capture::undefined::Undefined;
 use crate::reference::gap::Metric;
 
-/// What can be said against the sources of a reference.
+/// What can be wrong with the sources of a reference.
 #[derive(Debug, thiserror::Error)]
 pub enum CalibrationError {
-    /// Frames that cannot be judged.
+    /// A frame cannot be judged.
     #[error("{source_name}: frame {frame} cannot be judged: {why}")]
     Frame {
         /// The source.
@@ -17,25 +17,25 @@ pub enum CalibrationError {
         /// Why.
         why: Undefined,
     },
-    /// Too few frames.
+    /// There are too few frames.
     #[error("{0}")]
     TooFew(Undefined),
-    /// A drive that can no longer be read.
+    /// A drive can no longer be read.
     #[error(transparent)]
     Store(#[from] StoreError),
-    /// Histograms that cannot be compared.
+    /// Histograms cannot be compared.
     #[error("tap {tap}, metric {metric}: {why}")]
     Comparison {
         /// Name of the tap.
         tap: String,
-        /// The metric asked for.
+        /// The metric that was asked for.
         metric: Metric,
         /// Why.
         why: Undefined,
     },
 }
 
-/// Of one tap.
+/// The error of one tap.
 pub fn wrong(tap: &str, metric: Metric, why: Undefined) -> CalibrationError {
     CalibrationError::Comparison {
         tap: tap.to_owned(),

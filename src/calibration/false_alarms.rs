@@ -1,7 +1,7 @@
 //! Scores of nominal drives → the factor on all thresholds that keeps a wanted rate of false alarms.
 //!
-//! A false alarm is an entry into `Gap` of the whole chain: window, CUSUM and debounce, each drive from reset. Drives are
-//! taken whole: the frames of one depend on each other.
+//! A false alarm is an entry into `Gap` of the whole chain: window, CUSUM and debounce, with a reset before each drive.
+//! Drives are used as a whole, because the frames of a drive depend on each other.
 
 use std::time::Duration;
 
@@ -11,27 +11,29 @@ use crate::reference::{FalseAlarms, NominalDrives, RateFactor};
 use crate::statistics::bootstrap;
 use crate::statistics::event_rate::poisson_interval;
 
-/// Factors that are tried: from the first, each this much above the one before.
+/// Factors that are tried: the first one, and the ratio of each to the one before.
 const FACTOR_MIN: f64 = 0.1;
 const FACTOR_STEP: f64 = 1.02;
 const FACTORS: i32 = 350;
-/// With at least this many wanted entries on the drives at hand they are counted; with fewer the tail is modelled.
+/// If at least this many entries are wanted on the drives, entries are counted; with fewer, the tail is modelled.
 const COUNTED_MIN: f64 = 10.0;
-/// Entries that a tail is modelled from, as a share of the drives, and fewest.
+/// Number of entries from which a tail is modelled, as a share of the number of drives, and its minimum.
 const TAIL_SHARE: f64 = 0.25;
 const TAIL_MIN: usize = 5;
-/// Without enough drives for a tail: margin on the factor at which none of them enters `Gap`.
+/// Margin on the factor at which no drive enters `Gap`, if there are not enough drives for a tail.
 const FEW_DRIVES_MARGIN: f64 = 1.5;
-/// A frame that stands for longer than so many usual ones has a hole after it, in which nothing was judged.
+/// A frame that represents more than this many usual periods is followed by an interruption, in which nothing was
+/// judged.
 const STANDS_MAX: u32 = 2;
 
-/// One drive of so many judges the rate that the others set: a rate of one in so many hours is set badly on fewer.
+/// One of this many drives judges the rate that the others set. Most drives set the rate, because a low rate cannot be
+/// set well on few hours.
 const JUDGE_EVERY: usize = 4;
 
-/// Rates, entries an hour, whose factors a reference keeps beside the one asked for.
+/// Rates, entries an hour, whose factors a reference keeps besides the rate that was asked for.
 const RATES_PER_HOUR: [f64; 3] = [10.0, 1.0, 0.1];
 
-/// A drive's scores, frame by frame, from which the chain behind them can be run at other thresholds.
+/// A drive's scores, frame by frame, with which the rest of the chain can be run at other thresholds.
 #[derive(Clone, Debug, Default)]
 pub struct DriveScores {
     frames: Vec<(Duration, Judgement)>,
@@ -48,7 +50,7 @@ impl DriveScores {
         self.frames.push((at, Judgement::Cannot(reason)));
     }
 
-    /// Every frame's score; `None` of one that could not be judged.
+    /// Every frame's score; `None` for a frame that could not be judged.
     pub fn scores(&self) -> impl Iterator<Item = (Duration, Option<f64>)> + '_ {
         self.frames.iter().map(|&(at, seen)| match seen {
             Judgement::Score { score, .. } => (at, Some(score)),
@@ -56,9 +58,9 @@ impl DriveScores {
         })
     }
 
-    /// Judged time, hours: what the frames with a score stand for. A frame stands for the time to the next one, the last for
-    /// as long as the one before it; none over a hole. None of a drive in which no frame saw a whole window: its state
-    /// stays `Init`.
+    /// Judged time, hours: the time that the frames with a score represent. A frame represents the time to the next
+    /// frame, and the last frame the same time as the one before it, but an interruption does not count. The time is 0
+    /// for a drive in which no frame completed a window, because its state stays `Init`.
     pub fn hours(&self) -> f64 {
         let is_settled = |seen| matches!(seen, Judgement::Score { settled, .. } if settled);
         let to_next = self
@@ -84,7 +86,7 @@ impl DriveScores {
         stood.as_secs_f64() / 3_600.0
     }
 
-    /// The state after each frame when all thresholds lie `factor` times as far from their medians.
+    /// The state after each frame if all thresholds are `factor` times as far from their medians.
     pub fn states(&self, factor: f64) -> impl Iterator<Item = (Duration, AlarmState)> + '_ {
         let (mut alarm, mut cusum) = (Alarm::default(), Cusum::default());
         self.frames.iter().map(move |&(at, seen)| {
@@ -118,14 +120,14 @@ fn factor(index: i32) -> f64 {
     FACTOR_MIN * FACTOR_STEP.powi(index)
 }
 
-/// Whether the held-out drive of a number judges the rate that others set.
+/// Whether the held-out drive with this number judges the rate that the others set.
 pub fn is_judging(drive: usize) -> bool {
     drive % JUDGE_EVERY == JUDGE_EVERY - 1
 }
 
-/// The factor for a wanted rate, and the rate that it keeps on other drives: of every four drives three set it and one
-/// judges.
-/// `optimistic`: the drives have also scaled the gaps, so all of them set the factor and none is left to judge it.
+/// The factor for a wanted rate, and the rate that it gives on other drives: of every four drives, three set it and one
+/// judges it. `optimistic`: the drives have also scaled the gaps, so all of them set the factor and none is left to
+/// judge it.
 #[allow(clippy::cast_precision_loss)]
 pub(super) fn calibrated(
     drives: &[DriveScores],
@@ -170,7 +172,7 @@ pub(super) fn calibrated(
     }
 }
 
-/// The smallest factor from which on no more than `wanted` entries are counted.
+/// The smallest factor from which on at most `wanted` entries are counted.
 #[allow(clippy::cast_precision_loss)]
 fn counted(drives: &[&DriveScores], wanted: f64) -> f64 {
     let too_loud = (0..FACTORS)
@@ -183,7 +185,8 @@ fn entries(drives: &[&DriveScores], factor: f64) -> u64 {
     drives.iter().map(|drive| drive.entries(factor)).sum()
 }
 
-/// The factors up to which entries last, largest first, at most `most` of them: at the k-th one, at least k entries are left.
+/// The factors up to which entries last, the largest first, at most `most` of them: at the k-th factor, at least k
+/// entries are left.
 fn last_factors(drives: &[&DriveScores], most: usize) -> Vec<f64> {
     let mut last = Vec::new();
     for index in (0..FACTORS).rev() {
@@ -196,8 +199,9 @@ fn last_factors(drives: &[&DriveScores], most: usize) -> Vec<f64> {
     last
 }
 
-/// The factor at which `wanted` entries are left, from an exponential tail of the factors up to which the loudest entries
-/// last (peaks over threshold, Pickands 1975). Entries and not drives: a road that is near the threshold enters often.
+/// The factor at which `wanted` entries are left, from an exponential tail of the factors up to which the loudest
+/// entries last (peaks over threshold, Pickands 1975). Entries and not drives are used, because a road near the
+/// threshold enters `Gap` often.
 #[allow(
     clippy::cast_precision_loss,
     clippy::cast_possible_truncation,
@@ -244,7 +248,7 @@ mod tests {
     use super::*;
     use crate::statistics::event_rate::{CountedRate, Loudness};
 
-    /// A drive of a minute at 2 frames a second that is calm but for 5 s at `peak`.
+    /// A drive of a minute at 2 frames a second that is calm, except for 5 s at `peak`.
     fn drive(peak: f64) -> DriveScores {
         let mut drive = DriveScores::default();
         for i in 0..120_u64 {
@@ -269,7 +273,7 @@ mod tests {
 
     #[test]
     fn a_wanted_rate_is_kept_on_the_drives_that_judge() {
-        // 600 drives (10 h) with peaks of an exponential tail.
+        // 600 drives (10 h) whose peaks have an exponential tail.
         let drives: Vec<DriveScores> = (0..600_u32)
             .map(|i| {
                 let share =
@@ -310,7 +314,7 @@ mod tests {
             }
             drive
         };
-        // Of every four drives the fourth, which judges, enters ten times in ten minutes; the others are calm.
+        // Every fourth drive, which judges, enters ten times in ten minutes; the others are calm.
         let (calm, loud) = (peaks(1, 0.01), peaks(10, 9.0));
         let drives: Vec<DriveScores> = (0..24)
             .map(|i| if is_judging(i) { &loud } else { &calm })
@@ -325,7 +329,7 @@ mod tests {
             "{}",
             found.said()
         );
-        // The same entries in one drive of six: it may be the only one of its kind.
+        // The same entries are all in one drive of six, which may be the only one of its kind.
         let mut kinds = vec![calm; 24];
         kinds[3] = loud;
         let found = calibrated(&kinds, 20.0, false);
@@ -364,7 +368,7 @@ mod tests {
         near(minutes(&drive_of(&|_| None)), 0.0);
         // The state never left Init, as with frames too far apart for the window.
         near(minutes(&drive_of(&|_| Some(false))), 0.0);
-        // An hour's hole between two halves counts no more than two frames do.
+        // An interruption of an hour between two halves counts no more than two frames.
         let mut hole = DriveScores::default();
         for i in 0..120_u64 {
             let at = 500 * i + if i < 60 { 0 } else { 3_600_000 };
@@ -372,7 +376,7 @@ mod tests {
         }
         near(minutes(&hole), 60.5 / 60.0);
         near(minutes(&DriveScores::default()), 0.0);
-        // A drive that could not be judged is none that judges.
+        // A drive that could not be judged does not judge.
         let blind = vec![drive_of(&|_| None); 8];
         let found = calibrated(&blind, 1.0, false);
         assert_eq!((found.judged_on, found.chosen_on.drives), (None, 0));

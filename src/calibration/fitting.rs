@@ -1,4 +1,4 @@
-//! Nominal frames to what is nominal: histograms, moments, or the forecast of lost lanes.
+//! Nominal frames → what is nominal: histograms, moments, or the forecast of lost lanes.
 
 use super::binning::{Cut, Masses, PaperBinning, TapHistogram};
 use super::drive::{LabelledDrive, SurveyedDrive};
@@ -12,7 +12,7 @@ use crate::reference::gap::moments::{self, EnergyNorm, Moments};
 use crate::reference::{Component, Nominal, TapReference};
 use crate::statistics::quantile::median;
 
-/// What the nominal values of a domain are made of.
+/// The input from which the nominal values of a domain are made.
 pub struct Fitting<'a, D> {
     pub fitted: &'a [Stretch<'a, D>],
     pub taps: &'a [String],
@@ -24,7 +24,7 @@ impl<D: SurveyedDrive> Fitting<'_, D> {
         wrong(&self.taps[tap], self.metric, why)
     }
 
-    /// By tap, what each stretch has of each frame, in order.
+    /// For each tap, the values of all frames of all stretches, in their order.
     fn peaks(
         &self,
         of: impl Fn(&Part<'_>, usize) -> Vec<f64> + Sync,
@@ -37,7 +37,7 @@ impl<D: SurveyedDrive> Fitting<'_, D> {
         Ok(taps.map(|tap| of_tap(tap).collect()).collect())
     }
 
-    /// What is nominal of each tap, by its histogram; the gaps are not scaled yet.
+    /// What is nominal for each tap, as a histogram; the gaps are not scaled yet.
     pub fn histograms(&self) -> Result<Vec<TapReference>, CalibrationError> {
         let peaks = self.peaks(|part, tap| {
             let mut peaks = Vec::with_capacity(part.frames.len());
@@ -108,7 +108,7 @@ impl<D: SurveyedDrive> Fitting<'_, D> {
         Ok(nominal.collect())
     }
 
-    /// Median peak energy and moments of each tap; with the epsilon of the simulation when there is one.
+    /// Median peak energy and moments of each tap; with the epsilon of the simulation if it is given.
     pub fn moments(
         &self,
         simulation: Option<&Component>,
@@ -144,8 +144,8 @@ impl<D: SurveyedDrive> Fitting<'_, D> {
         Ok((peaks, moments))
     }
 
-    /// What is nominal of each tap, by its energies; the gaps are not scaled yet. `wider` and `simulation` are there for an
-    /// accepted domain.
+    /// What is nominal for each tap, as energies; the gaps are not scaled yet. `wider` and `simulation` are given for
+    /// an accepted domain.
     pub fn energies<L: LabelledDrive>(
         &self,
         peaks: &[f64],

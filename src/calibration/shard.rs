@@ -1,5 +1,5 @@
-//! Parts of a reference: which drives had which role, of a model and for which thresholds. What the encoder saw of them is
-//! in a survey store.
+//! Parts of a reference: drives with their roles, the model, and the calibration target. What the encoder saw of the
+//! drives is in a survey store.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -15,7 +15,7 @@ use crate::reference::{BYTES_MAX, ModelFingerprint, Reference, ReferenceError, R
 const FORMAT: &str = "gapwatch-shard";
 const VERSION: u32 = 1;
 
-/// Drives of a reference to be: a file beside their surveys. A reference says as much of its own drives.
+/// Drives for a future reference: a file beside their surveys. A reference contains the same about its own drives.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Shard {
@@ -23,9 +23,9 @@ pub struct Shard {
     version: u32,
     /// Version of the program.
     pub gapwatch: String,
-    /// The model that looked.
+    /// The model that looked at the drives.
     pub model: ModelFingerprint,
-    /// How gaps are to be measured.
+    /// Metric that will measure the gap.
     pub metric: Metric,
     /// Length of the detector's window, seconds.
     pub window_s: f64,
@@ -41,19 +41,19 @@ pub struct Shard {
 pub struct ShardSource {
     /// As typed.
     pub source: String,
-    /// What it is there for.
+    /// Its role.
     pub role: Role,
-    /// Frames it gave.
+    /// Number of its frames.
     pub frames: u64,
 }
 
-/// A file that is no part of a reference.
+/// A file that is not a part of a reference.
 #[derive(Debug, thiserror::Error)]
 pub enum ShardError {
-    /// It cannot be read or written, or is a reference that cannot be used.
+    /// The file cannot be read or written, or is a reference that cannot be used.
     #[error(transparent)]
     Reference(#[from] ReferenceError),
-    /// It is neither shard nor reference.
+    /// The file is neither a shard nor a reference.
     #[error("{}: {found}; wanted a reference, or a shard of version {VERSION}, as written by gapwatch calibrate", path.display())]
     Malformed {
         /// Which file.
@@ -64,7 +64,7 @@ pub enum ShardError {
 }
 
 impl Shard {
-    /// Some drives for a reference to be.
+    /// A shard with some drives for a future reference.
     pub fn new(model: ModelFingerprint, wanted: Target, sources: Vec<ShardSource>) -> Self {
         Self {
             format: FORMAT.to_owned(),
@@ -78,10 +78,11 @@ impl Shard {
         }
     }
 
-    /// Reads a shard, or what a reference says of its drives.
+    /// Reads a shard, or what a reference says about its drives.
     ///
     /// # Errors
-    /// When it cannot be read, is neither, or is a reference that does not say what its drives were there for.
+    /// When the file cannot be read, when it is neither a shard nor a reference, or when it is a reference that does
+    /// not say the roles of its drives.
     pub fn read(path: &Path) -> Result<Self, ShardError> {
         let malformed = |found: String| ShardError::Malformed {
             path: path.to_owned(),
@@ -106,7 +107,7 @@ impl Shard {
         let sources = reference.provenance.sources.into_iter().map(|source| {
             let role = source.role.ok_or_else(|| {
                 malformed(format!(
-                    "a reference that does not say what {} was there for",
+                    "a reference that does not say the role of {}",
                     source.source
                 ))
             })?;
@@ -143,7 +144,7 @@ impl Shard {
         Ok(file.finish().map_err(failed)?)
     }
 
-    /// What the reference is to be like.
+    /// The calibration target of the reference.
     pub fn wanted(&self) -> Target {
         Target {
             metric: self.metric,
@@ -152,7 +153,8 @@ impl Shard {
         }
     }
 
-    /// The first part in which another shard cannot be of the same reference: what it is, here and there.
+    /// The first part because of which another shard cannot belong to the same reference: what the part is, and its
+    /// value here and there.
     pub fn difference(&self, other: &Self) -> Option<(&'static str, String, String)> {
         let parts = [
             (

@@ -1,4 +1,4 @@
-//! Which frames of which drives are looked at for what, one drive a thread at a time.
+//! Which frames of which drives are used for what. Each thread holds one drive at a time.
 
 use std::ops::Range;
 
@@ -8,13 +8,13 @@ use super::drive::SurveyedDrive;
 use super::error::CalibrationError;
 use super::windows::Part;
 
-/// A drive of which the frames before `fitted` make histograms or moments, and the others scale gaps.
+/// A drive whose frames before `fitted` make histograms or moments, and whose other frames scale gaps.
 pub struct Split<'a, D> {
     pub drive: &'a D,
     pub fitted: usize,
 }
 
-/// With several drives every second one is held out whole; of a single one, its last third.
+/// With several drives, every second one is held out completely. Of a single drive, the last third is held out.
 pub fn split<D: SurveyedDrive>(drives: &[D]) -> Vec<Split<'_, D>> {
     let alone = drives.len() == 1;
     let share = |index: usize, frames: usize| match (alone, index % 2) {
@@ -48,14 +48,14 @@ impl<'a, D: SurveyedDrive> Split<'a, D> {
     }
 }
 
-/// Some frames of a drive, looked at anew whenever they are needed.
+/// Some frames of a drive, which are read again whenever they are needed.
 pub struct Stretch<'a, D> {
     pub drive: &'a D,
     pub range: Range<usize>,
 }
 
 impl<D: SurveyedDrive> Stretch<'_, D> {
-    /// Looks at the frames, all of which must be such as can be judged.
+    /// Looks at the frames. It must be possible to judge all of them.
     pub fn look<T>(
         &self,
         at: impl FnOnce(&Part<'_>) -> Result<T, CalibrationError>,
@@ -65,7 +65,7 @@ impl<D: SurveyedDrive> Stretch<'_, D> {
     }
 }
 
-/// Looks at many stretches, one a thread at a time; what came of each, in their order.
+/// Looks at many stretches, one at a time on each thread; returns the results in their order.
 pub fn look_at_all<D: SurveyedDrive, T: Send>(
     stretches: &[Stretch<'_, D>],
     at: impl Fn(&Part<'_>) -> Result<T, CalibrationError> + Sync,
@@ -77,7 +77,8 @@ pub fn look_at_all<D: SurveyedDrive, T: Send>(
     seen.into_iter().collect()
 }
 
-/// Sums over many stretches, one a thread at a time. `merge` must not care for order, as sums of integers do not.
+/// Sums over many stretches, one at a time on each thread. The result of `merge` must not depend on the order, as with
+/// sums of integers.
 pub fn sum_over_all<D: SurveyedDrive, T: Send + Sync + Clone>(
     stretches: &[Stretch<'_, D>],
     nothing: &T,

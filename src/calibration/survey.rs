@@ -1,4 +1,4 @@
-//! Whole sources through the encoder: what `calibrate` and `compare` work on.
+//! Whole sources as seen by the encoder: the input of `calibrate` and `compare`.
 
 use std::time::Duration;
 
@@ -13,14 +13,14 @@ use crate::model::preprocess::Preprocessing;
 
 pub mod store;
 
-/// A source seen through the encoder.
+/// What the encoder saw of a source.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Survey {
     /// As typed.
     pub source: String,
     /// When each frame was taken.
     pub times: Vec<Duration>,
-    /// Of every frame, in order: what the encoder saw, or why nothing.
+    /// For every frame, in order: what the encoder saw, or why it saw nothing.
     pub frames: Vec<Result<SurveyFrame, Undefined>>,
     /// Size that maps are resampled to, width and height.
     pub common_size: (usize, usize),
@@ -29,7 +29,7 @@ pub struct Survey {
 /// One frame of a survey.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct SurveyFrame {
-    /// Energy maps of the blocks, each of its block's own size; empty when only means are kept.
+    /// Energy maps of the blocks, each at the size of its block; empty if only means are kept.
     pub maps: Vec<EnergyMap>,
     /// Largest energy of each block at its own size.
     pub peaks: Vec<f64>,
@@ -40,9 +40,9 @@ pub struct SurveyFrame {
 /// What a survey keeps of a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Keep {
-    /// Energy maps and means: about 20 KB of the built-in model.
+    /// Energy maps and means: about 20 KB for each frame of the built-in model.
     Maps,
-    /// Means alone: about 4 KB.
+    /// Only means: about 4 KB for each frame.
     Means,
 }
 
@@ -65,13 +65,13 @@ pub enum SurveyError {
     /// The encoder failed.
     #[error(transparent)]
     Encoder(#[from] EncoderError),
-    /// A picture of a set that is to be measured cannot be read.
+    /// A picture of a set cannot be read.
     #[error("{0}")]
     Picture(String),
 }
 
 impl SurveyFrame {
-    /// The last picture that a stage has judged.
+    /// The last picture that a stage has processed.
     pub fn of(stage: &EnergyStage, keep: Keep) -> Self {
         Self {
             maps: match keep {
@@ -88,7 +88,8 @@ impl Survey {
     /// Looks at every frame of a source; `seen` is called after each.
     ///
     /// # Errors
-    /// When the source or the encoder fails, and for a picture that cannot be read: a set is measured whole or not at all.
+    /// When the source or the encoder fails, or when a picture cannot be read: a set is measured completely or not at
+    /// all.
     pub fn of(
         source: &str,
         encoder: &Encoder,
@@ -121,7 +122,7 @@ impl Survey {
     /// The maps of one tap at the common size, frame by frame; the survey must have kept them.
     ///
     /// # Errors
-    /// Item by item, why a frame has none.
+    /// In each item, why a frame has no map.
     pub fn common_maps(
         &self,
         tap: usize,

@@ -1,11 +1,11 @@
-//! What a reference is to be like.
+//! The calibration target.
 
 use crate::reference::gap::Metric;
 
-/// What a reference is to be like.
+/// Metric, window and rate of false alarms for which a reference is made.
 #[derive(Clone, Copy, Debug)]
 pub struct Target {
-    /// How gaps are measured.
+    /// Metric that measures the gap.
     pub metric: Metric,
     /// Length of the detector's window, seconds.
     pub window_s: f64,

@@ -1,4 +1,4 @@
-//! Frames of a drive through the chain behind the encoder: gaps of windows, and the detector's scores.
+//! Passes frames of a drive through the chain after the encoder: gaps of windows, and the detector's scores.
 
 use std::ops::Range;
 use std::time::Duration;
@@ -65,7 +65,7 @@ impl<'a> Part<'a> {
         }
     }
 
-    /// What the domains take of each frame.
+    /// What the domains take from each frame.
     pub fn track(
         &self,
         metric: Metric,
@@ -88,7 +88,7 @@ impl<'a> Part<'a> {
         })
     }
 
-    /// The drive through the detector from its reset: the score of each frame.
+    /// Passes the drive through the detector after a reset: the score of each frame.
     pub fn scores(
         &self,
         wanted: Target,
@@ -113,7 +113,7 @@ impl<'a> Part<'a> {
     }
 }
 
-/// A survey through the detector from its reset: the score of each frame, or why it has none.
+/// Passes a survey through the detector after a reset: the score of each frame, or why it has none.
 pub fn drive_scores(
     survey: &Survey,
     metric: Metric,
@@ -135,10 +135,10 @@ pub fn drive_scores(
     drive
 }
 
-/// What was taken of the frames of a drive.
+/// What was taken from the frames of a drive.
 pub struct Track {
     at: Vec<Duration>,
-    /// Numbers taken of a frame.
+    /// How many numbers are taken from a frame.
     width: usize,
     /// `[frames, width]`
     taken: Vec<u32>,
@@ -150,7 +150,7 @@ impl Track {
             .chunks_exact(self.width.max(1))
     }
 
-    /// Windows one after the other, each the frames within `window_s` of its first.
+    /// Consecutive windows, each with the frames within `window_s` of its first frame.
     fn windows(&self, window_s: f64) -> impl Iterator<Item = Range<usize>> {
         let mut next = 0;
         std::iter::from_fn(move || {
@@ -167,7 +167,7 @@ impl Track {
         })
     }
 
-    /// Gaps of the windows of which `frames` frames are taken, evenly spread.
+    /// Gaps of the windows, with `frames` frames of each window, evenly spread.
     pub fn gaps(
         &self,
         columns: Range<usize>,

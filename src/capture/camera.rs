@@ -1,8 +1,8 @@
 //! V4L2 cameras.
 //!
-//! Owns the device: it is opened at the start or refused, and opened again whenever it stalls, fails or is unplugged
-//! and plugged in again. Refuses to end: a camera that is gone gives no frame, and the silence is the monitor's to report. The format that the
-//! driver grants counts, not the one asked for.
+//! The device is opened at the start, or refused. It is opened again whenever it stalls, fails, or is unplugged and
+//! connected again. The source never ends: a camera that is gone gives no frame, and the monitor reports the silence.
+//! The format that counts is the one that the driver grants, and not the one that was asked for.
 
 use std::io;
 use std::mem;
@@ -25,19 +25,20 @@ use super::{CAMERA_FORMATS, CameraWish};
 use super::{CameraFacts, Frame, FrameSource, PictureError, Place, SourceError};
 use crate::capture::clock::monotonic;
 
-/// Buffers of the driver: one being filled, one waiting, one being read, one to spare.
+/// Number of buffers of the driver: one is being filled, one waits, one is being read, and one is spare.
 const BUFFERS: u32 = 4;
-/// A camera that gives nothing for this long is opened again.
+/// A camera that gives no frame for this long is opened again.
 const STALL: Duration = Duration::from_secs(2);
 /// First and longest pause between two attempts to open a camera again.
 const BACK_OFF: (Duration, Duration) = (Duration::from_millis(100), Duration::from_millis(500));
-/// The log hears of a frame that is older than this when it is read: no camera and no queue of [`BUFFERS`] takes as long.
+/// A frame that is older than this when it is read is logged: no camera and no queue of [`BUFFERS`] buffers takes this
+/// long.
 const OLD: Duration = Duration::from_secs(2);
-/// At most one such complaint in this time.
+/// Shortest time between two log lines about such frames.
 const COMPLAINT: Duration = Duration::from_secs(1);
 /// `POLLIN` of `poll(2)`.
 const POLLIN: i16 = 1;
-/// What is asked for, in this order, unless the board says otherwise.
+/// Formats that are asked for, in this order, unless the board says otherwise.
 const PREFERRED: [&str; 5] = CAMERA_FORMATS;
 
 /// A camera.
@@ -50,30 +51,30 @@ pub struct CameraSource {
     /// Numbers and times of the driver, since the camera was opened.
     order: Order,
     clock: Clock,
-    /// How long ago the last frame was taken when it was given.
+    /// Age of the last frame when it was returned.
     waited: Duration,
-    /// The log was told that the driver says no times.
+    /// Whether it was logged that the driver gives no times.
     untimed: bool,
     counts: Counts,
-    /// Frames that nobody will judge are not copied.
+    /// Frames that will not be judged are not copied.
     pace: Pace,
     period: Arc<WantedPeriod>,
 }
 
-/// What went wrong since the start.
+/// Counts of errors since the start.
 #[derive(Debug, Default)]
 struct Counts {
     /// Buffers that the driver flagged as damaged.
     damaged: u64,
-    /// Frames that the driver's numbers say are missing.
+    /// Frames that are missing according to the driver's numbers.
     lost: u64,
-    /// Frames whose number or time did not move or went back.
+    /// Frames whose number or time did not increase.
     repeated: u64,
     reopened: u64,
 }
 
 struct OpenCamera {
-    /// Empty only while it is closed.
+    /// `None` only while it is being closed.
     stream: Option<MmapStream<'static>>,
     handle: Arc<Handle>,
     layout: Layout,
@@ -81,8 +82,8 @@ struct OpenCamera {
 }
 
 impl Drop for OpenCamera {
-    /// The stream of `v4l` panics when it cannot be stopped, and again when its buffers cannot be given back. So it is
-    /// stopped here first; one that cannot be is left open.
+    /// The stream of `v4l` panics when it cannot be stopped, and again when its buffers cannot be released. Therefore
+    /// it is stopped here first. If it cannot be stopped, it is left open.
     fn drop(&mut self) {
         let Some(mut stream) = self.stream.take() else {
             return;
@@ -94,7 +95,7 @@ impl Drop for OpenCamera {
             }
             _ => {
                 if catch_unwind(AssertUnwindSafe(move || drop(stream))).is_err() {
-                    log::error!("a camera's buffers could not be given back");
+                    log::error!("a camera's buffers could not be released");
                 }
             }
         }
@@ -102,10 +103,10 @@ impl Drop for OpenCamera {
 }
 
 impl CameraSource {
-    /// Opens `device`, asking for `wish`, and gives a frame every `period` at most.
+    /// Opens `device`, asking for `wish`. The source returns at most one frame every `period`.
     ///
     /// # Errors
-    /// When there is no such camera, or none of the formats that are understood is granted.
+    /// When there is no such camera, or when it grants none of the supported formats.
     pub fn open(
         device: &str,
         wish: &CameraWish,
@@ -132,14 +133,14 @@ impl CameraSource {
         })
     }
 
-    /// Tries to open the camera again, after a back-off.
+    /// Tries to open the camera again, after a pause.
     fn open_again(&mut self) {
         std::thread::sleep(self.back_off);
         self.back_off = (2 * self.back_off).min(BACK_OFF.1);
         match open(&self.device, &self.wish) {
             Ok(open) => {
                 self.counts.reopened += 1;
-                log::warn!("{}: open again; {:?}", self.device, self.counts);
+                log::warn!("{}: is open again; {:?}", self.device, self.counts);
                 self.open = Some(open);
                 self.order = Order::default();
             }
@@ -147,7 +148,7 @@ impl CameraSource {
         }
     }
 
-    /// How far a frame is from the one before; 0 when it does not come after it.
+    /// Distance of a frame's number from that of the frame before; 0 if it does not come after that frame.
     fn step(&mut self, stamp: &Stamp) -> u64 {
         let step = self.order.step(stamp);
         if step == 0 {
@@ -157,7 +158,7 @@ impl CameraSource {
         step
     }
 
-    /// When a frame was taken; the log hears of times that are missing or long ago.
+    /// When a frame was taken. Times that are missing or long ago are logged.
     fn place(&mut self, stamp: &Stamp) -> Taken {
         let now = monotonic();
         let taken = self.clock.place(stamp.taken_at, now);
@@ -179,29 +180,29 @@ impl CameraSource {
     }
 }
 
-/// What the driver says of a frame.
+/// What the driver says about a frame.
 #[derive(Clone, Copy, Debug)]
 struct Stamp {
     number: u32,
-    /// On the system's monotonic clock; `None` when the driver does not say.
+    /// Time on the system's monotonic clock; `None` if the driver does not give it.
     taken_at: Option<Duration>,
 }
 
-/// How frames follow each other.
+/// The order of frames.
 #[derive(Debug, Default)]
 struct Order {
     last: Option<Stamp>,
-    /// Some drivers number nothing: all their frames are 0.
+    /// Whether frames have numbers. With some drivers, all frames have the number 0.
     numbered: bool,
 }
 
 impl Order {
-    /// How far a frame is from the one before; 0 when it does not come after it.
+    /// Distance of a frame's number from that of the frame before; 0 if it does not come after that frame.
     fn step(&mut self, stamp: &Stamp) -> u64 {
         let Some(last) = self.last.replace(*stamp) else {
             return 1;
         };
-        // Numbers wrap: more than half of the way round is a step back.
+        // Numbers wrap around: a step of more than half of the range is a step back.
         let moved = stamp.number.wrapping_sub(last.number);
         self.numbered |= moved != 0;
         let step = match moved {
@@ -218,11 +219,11 @@ impl Order {
     }
 }
 
-/// Frames' times by the driver → times since the source began. All are of the system's monotonic clock.
+/// The driver's times of frames → times since the source began. All are from the system's monotonic clock.
 #[derive(Debug)]
 struct Clock {
     began: Duration,
-    /// The driver's time of the last frame, and what was made of it.
+    /// The driver's time of the last frame, and the time that was derived from it.
     last: Option<(Option<Duration>, Duration)>,
     complained_at: Option<Duration>,
 }
@@ -230,9 +231,9 @@ struct Clock {
 /// When a frame was taken.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Taken {
-    /// Since the source began.
+    /// Time since the source began.
     at: Duration,
-    /// How long ago.
+    /// Age of the frame.
     age: Duration,
 }
 
@@ -245,8 +246,9 @@ impl Clock {
         }
     }
 
-    /// When the frame that is read `now` was taken, by the driver's `stamp`. One in the future counts as now, and so does a
-    /// frame without; however old one is, it is believed. The times that are given only grow while the driver's do.
+    /// When the frame that is read `now` was taken, according to the driver's `stamp`. A stamp in the future counts as
+    /// now, and so does a missing stamp. A stamp in the past is used, however old it is. The returned times increase as
+    /// long as the driver's times increase.
     fn place(&mut self, stamp: Option<Duration>, now: Duration) -> Taken {
         let taken = stamp.map_or(now, |stamp| stamp.min(now));
         let mut at = taken.saturating_sub(self.began);
@@ -255,7 +257,7 @@ impl Clock {
                 .zip(stamp)
                 .is_none_or(|(before, stamp)| stamp > before)
         {
-            // Only frames from before the source began would otherwise have one time.
+            // Without this, frames from before the source began would all have the same time.
             at = at.max(last + Duration::from_nanos(1));
         }
         self.last = Some((stamp, at));
@@ -265,7 +267,7 @@ impl Clock {
         }
     }
 
-    /// Whether a frame is so old that it is worth a complaint, at most one a second.
+    /// Whether a frame is so old that it is logged, at most once a second.
     fn is_complaint(&mut self, age: Duration, now: Duration) -> bool {
         let quiet = self.complained_at.is_some_and(|at| now < at + COMPLAINT);
         let complain = age > OLD && !quiet;
@@ -331,14 +333,15 @@ impl FrameSource for CameraSource {
     }
 }
 
-/// A picture, if it is wanted, or what was wrong with it; and what the driver says of it.
+/// A picture, if it is wanted, or what was wrong with it, and what the driver says about it.
 type Read = (Option<Result<Pixels, String>>, Stamp);
 
 impl OpenCamera {
     /// The next picture; `None` for a damaged one.
     fn read(&mut self, is_wanted: impl FnOnce() -> bool) -> io::Result<Option<Read>> {
         let stream = self.stream.as_mut().ok_or(io::ErrorKind::NotConnected)?;
-        // The first call starts the stream and waits itself. Later a time-out inside it would queue a buffer twice.
+        // The first call starts the stream and waits for it. Later, a time-out inside the call would queue a buffer
+        // twice.
         if self.started && self.handle.poll(POLLIN, milliseconds(STALL))? == 0 {
             return Err(io::ErrorKind::TimedOut.into());
         }
@@ -358,7 +361,7 @@ impl OpenCamera {
     }
 }
 
-/// The driver's time of a frame, if it is of the system's monotonic clock.
+/// The driver's time of a frame, if it is from the system's monotonic clock.
 fn monotonic_stamp(meta: &Metadata) -> Option<Duration> {
     let clock = meta.flags & Flags::TIMESTAMP_MASK;
     let (sec, usec) = (meta.timestamp.sec, meta.timestamp.usec);
@@ -383,9 +386,9 @@ fn open(name: &str, wish: &CameraWish) -> Result<OpenCamera, String> {
     })?;
     if let Some(fps) = wish.fps {
         let interval = Fraction::new(1_000, milli(fps));
-        // A wish, as the size: some cameras have one rate only.
+        // This is only a wish, like the size, because some cameras have only one rate.
         if let Err(error) = device.set_params(&Parameters::new(interval)) {
-            log::warn!("{name}: the rate stays as it is: {error}");
+            log::warn!("{name}: the rate cannot be changed: {error}");
         }
     }
     let mut stream = MmapStream::with_buffers(&device, Type::VideoCapture, BUFFERS)
@@ -409,11 +412,11 @@ fn milli(fps: f64) -> u32 {
     (1_000.0 * fps).round().max(1.0) as u32
 }
 
-/// Asks for the wished format, or for one after the other, and gives what is granted in the end.
+/// Asks for the wanted format, or for one after the other; returns the format that is granted.
 fn negotiate(device: &Device, wish: &CameraWish) -> Result<Format, String> {
     let now = device
         .format()
-        .map_err(|error| format!("no camera for video frames: {error}"))?;
+        .map_err(|error| format!("it is not a camera that gives video frames: {error}"))?;
     let (width, height) = wish.size.unwrap_or((now.width, now.height));
     let asked: Vec<&str> = match &wish.format {
         Some(format) => vec![format.as_str()],
@@ -434,7 +437,7 @@ fn negotiate(device: &Device, wish: &CameraWish) -> Result<Format, String> {
     Ok(granted)
 }
 
-/// What a camera says of itself.
+/// Asks a camera about itself.
 pub fn facts(name: &str) -> Result<CameraFacts, SourceError> {
     let ask = || -> io::Result<CameraFacts> {
         let device = Device::with_path(name)?;
@@ -447,8 +450,8 @@ pub fn facts(name: &str) -> Result<CameraFacts, SourceError> {
             formats: offered.map(|offer| offer.fourcc.to_string()).collect(),
         })
     };
-    // Texts of a driver that are not UTF-8 make `v4l` panic.
-    let odd = || Err(io::Error::other("it describes itself in no known way"));
+    // `v4l` panics on texts of a driver that are not UTF-8.
+    let odd = || Err(io::Error::other("it describes itself in an unknown way"));
     let told = catch_unwind(AssertUnwindSafe(ask)).unwrap_or_else(|_| odd());
     told.map_err(|error| SourceError::Camera {
         device: name.to_owned(),
@@ -523,7 +526,7 @@ mod tests {
         assert_eq!(place(Some(9_140), 9_160), (140, 20));
         assert_eq!(place(None, 9_200), (200, 0));
         assert_eq!(place(Some(9_240), 9_241), (240, 1));
-        // One wrong stamp does not change what is made of the next.
+        // One wrong stamp does not affect the next one.
         assert_eq!(place(Some(99_000), 9_280), (280, 0));
         assert_eq!(place(Some(9_300), 9_310), (300, 10));
     }
@@ -547,7 +550,7 @@ mod tests {
 
     #[test]
     fn times_grow_as_long_as_the_stamps_do() {
-        // Frames from before the source began, then some of the future, then late ones.
+        // Frames from before the source began, then some from the future, then late ones.
         let mut clock = Clock::new(ms(9_000));
         let (mut stamp, mut now, mut last) = (ms(8_000), ms(9_001), None);
         for n in 0..1_000_u64 {

@@ -1,14 +1,14 @@
-//! What time it is: the time of day beside the time since the computer started, which no one can set.
+//! The time of day, and the time since the computer started, which nobody can set.
 
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use rustix::time::{ClockId, clock_gettime};
 use serde::{Deserialize, Serialize};
 
-/// The year 2025: a time of day before it was never set.
+/// The year 2025: a time of day before it means that the clock was not set.
 const SET_AFTER: Duration = Duration::from_secs(1_735_689_600);
 
-/// Whether somebody has set a clock that says so.
+/// Whether a clock with this time of day has been set.
 pub fn is_set(time_of_day: SystemTime) -> bool {
     let since = time_of_day.duration_since(UNIX_EPOCH);
     since.is_ok_and(|since| since >= SET_AFTER)
@@ -34,7 +34,7 @@ pub struct ClockTime {
 }
 
 impl ClockTime {
-    /// Now.
+    /// The present time.
     pub fn now() -> Self {
         let time_of_day = SystemTime::now();
         Self {

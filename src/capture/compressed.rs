@@ -9,13 +9,13 @@ use image::{
 
 use super::{PIXELS_MAX, Picture};
 
-/// Quality of pictures that are written, of 100.
+/// JPEG quality of pictures that are written, from 1 to 100.
 const JPEG_QUALITY: u8 = 85;
 
-/// The picture in the bytes of a PNG or JPEG image, or what is wrong with them.
+/// Decodes a PNG or JPEG image, or returns what is wrong with it.
 pub fn decoded(bytes: &[u8]) -> Result<Picture, String> {
     let format = image::guess_format(bytes)
-        .map_err(|_| format!("{} bytes that are no image", bytes.len()))?;
+        .map_err(|_| format!("{} bytes that are not an image", bytes.len()))?;
     whole(format, bytes)?;
     let decoder = ImageReader::with_format(Cursor::new(bytes), format)
         .into_decoder()
@@ -27,7 +27,7 @@ pub fn decoded(bytes: &[u8]) -> Result<Picture, String> {
     picture(decoder)
 }
 
-/// The picture in the bytes of a JPEG image of this size; of another size none is decoded.
+/// Decodes a JPEG image of this size. An image of another size is not decoded.
 pub fn decoded_jpeg(bytes: &[u8], size: (u32, u32)) -> Result<Picture, String> {
     let about = |error| format!("a buffer of {} bytes: {error}", bytes.len());
     let decoder = JpegDecoder::new(Cursor::new(bytes)).map_err(|error| about(error.to_string()))?;
@@ -55,7 +55,7 @@ fn picture(decoder: impl ImageDecoder) -> Result<Picture, String> {
 /// A picture as JPEG.
 ///
 /// # Errors
-/// When a picture has no pixels, or more than the format takes.
+/// When a picture has no pixels, or more than the format allows.
 pub fn jpeg(picture: &Picture) -> image::ImageResult<Vec<u8>> {
     let mut bytes = Vec::new();
     JpegEncoder::new_with_quality(&mut bytes, JPEG_QUALITY).write_image(
@@ -67,11 +67,11 @@ pub fn jpeg(picture: &Picture) -> image::ImageResult<Vec<u8>> {
     Ok(bytes)
 }
 
-/// The last eight bytes of a PNG: the name of its end chunk and the checksum of that.
+/// The last eight bytes of a PNG: the name of its end chunk and its checksum.
 const PNG_END: &[u8] = b"IEND\xAE\x42\x60\x82";
 
-/// An error unless the format's end marker is there, in a JPEG after its last scan. The JPEG decoder fills what is missing with
-/// grey without a word.
+/// Returns an error unless the format's end marker is there (in a JPEG, after its last scan). The JPEG decoder silently
+/// fills missing parts with grey.
 fn whole(format: ImageFormat, bytes: &[u8]) -> Result<(), String> {
     let has =
         |bytes: &[u8], marker: &[u8]| bytes.windows(marker.len()).any(|window| window == marker);
@@ -81,7 +81,7 @@ fn whole(format: ImageFormat, bytes: &[u8]) -> Result<(), String> {
             let last_scan = bytes.windows(2).rposition(|marker| marker == [0xFF, 0xDA]);
             last_scan.is_some_and(|scan| has(&bytes[scan..], &[0xFF, 0xD9]))
         }
-        // Anything else is left to its decoder, which this build does not have.
+        // Any other format is left to its decoder, which this build does not have.
         _ => true,
     };
     match ends {

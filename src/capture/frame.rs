@@ -1,4 +1,4 @@
-//! A frame, and what gives frames.
+//! A frame, and the trait of what gives frames.
 
 use std::path::PathBuf;
 use std::time::Duration;
@@ -7,10 +7,10 @@ use super::picture::PictureError;
 use super::pixels::Pixels;
 use super::undefined::Undefined;
 
-/// A picture with its place in time, or why there is none.
+/// A picture with its time, or why there is none.
 #[derive(Debug)]
 pub struct Frame {
-    /// Count of frames of the source, from 0.
+    /// Number of the frame in its source, from 0.
     pub sequence: u64,
     /// Time since the source began.
     pub captured_at: Duration,
@@ -29,10 +29,10 @@ impl Frame {
     }
 }
 
-/// A source that cannot be opened or goes on no more.
+/// A source that cannot be opened or cannot continue.
 #[derive(Debug, thiserror::Error)]
 pub enum SourceError {
-    /// Nothing of that name.
+    /// There is no file or folder of this name.
     #[error("{}: no such file or folder", .0.display())]
     Missing(PathBuf),
     /// A folder without images.
@@ -41,7 +41,7 @@ pub enum SourceError {
     /// A file or folder that cannot be read.
     #[error("{}: {error}", path.display())]
     Unreadable {
-        /// Which.
+        /// The file, folder or device.
         path: PathBuf,
         /// Why.
         error: std::io::Error,
@@ -49,18 +49,18 @@ pub enum SourceError {
     /// A name that is not understood.
     #[error("source {found:?}: {wanted}")]
     Name {
-        /// As typed.
+        /// The name as typed.
         found: String,
-        /// What would do.
+        /// What was wanted.
         wanted: String,
     },
-    /// A rendered drive that is not understood: what was found and what would do.
+    /// A rendered drive that is not understood: what was found and what was wanted.
     #[error("{0}")]
     Scene(String),
     /// A camera that cannot be opened.
     #[error("{device}: {why}")]
     Camera {
-        /// Which.
+        /// The file, folder or device.
         device: String,
         /// What the system answered, or what is missing.
         why: String,
@@ -83,35 +83,36 @@ pub enum SourceError {
     },
 }
 
-/// Where a frame stands among the others of its source.
+/// Position of a frame in its source.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Place {
-    /// Its number.
+    /// Number of the frame.
     pub number: u64,
-    /// When it was taken; `None` where that is not known.
+    /// When it was taken; `None` if that is not known.
     pub at: Option<Duration>,
 }
 
 impl Place {
-    /// The one rule of order: the number is larger than that of the frame `before`, and so is the time where both are known.
+    /// The rule of order: the number is larger than that of the frame `before`, and so is the time if both times are
+    /// known.
     pub fn is_after(self, before: Self) -> bool {
         let times = before.at.zip(self.at);
         self.number > before.number && times.is_none_or(|(then, now)| now > then)
     }
 }
 
-/// Gives frames in order of time.
+/// Gives frames in the order of time.
 pub trait FrameSource: Send {
     /// The next frame, or `None` at the end.
     ///
     /// # Errors
-    /// When the source breaks off; a single unreadable picture is not an error but a [`Frame`] without picture.
+    /// When the source cannot continue. A single unreadable picture is not an error, but a [`Frame`] without a picture.
     fn next_frame(&mut self) -> Result<Option<Frame>, SourceError>;
 
-    /// How many frames there will be, when known.
+    /// The number of frames, if it is known.
     fn frame_count(&self) -> Option<u64>;
 
-    /// When the source began, since the epoch of its clock, where it has one; known with its first frame.
+    /// When the source began, since the epoch of its clock, if it has one; known after its first frame.
     fn began_at(&self) -> Option<Duration> {
         None
     }
@@ -121,7 +122,7 @@ pub trait FrameSource: Send {
         false
     }
 
-    /// How long ago the last frame of a live source was taken when it was given; zero where that is not known.
+    /// Age of the last frame of a live source when it was returned; zero if that is not known.
     fn waited(&self) -> Duration {
         Duration::ZERO
     }

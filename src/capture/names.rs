@@ -1,4 +1,4 @@
-//! Names of drives: which stand for many, in which order they come, and whether what they name has changed.
+//! Names of drives: names that mean many drives, the order of drives, and whether the files of a drive have changed.
 
 use std::fs;
 use std::io::ErrorKind;
@@ -9,27 +9,27 @@ use sha2::{Digest, Sha256};
 
 use super::frame::SourceError;
 
-/// Most drives that one name may stand for.
+/// Largest number of drives that one name may mean.
 const DRIVES_MAX: u64 = 10_000;
 /// The same, as a count.
 const RANGE_MAX: usize = 10_000;
 
-/// How a camera is written, of a device that is named without that; `None` of any other source.
+/// The name of a camera with its prefix, if a device is named without it; `None` for any other source.
 pub fn camera_of(source: &str) -> Option<String> {
     source
         .starts_with("/dev/video")
         .then(|| format!("v4l2:{source}"))
 }
 
-/// The name of a file or folder with what may stand behind it.
+/// The name of a file or folder, with the options that may follow it.
 pub struct FileName<'a> {
     pub path: &'a Path,
     pub fps: Option<f64>,
     pub topic: Option<&'a str>,
 }
 
-/// Splits `PATH?fps=N` or `PATH?topic=NAME`; a path that exists as typed is taken whole. Refuses what is no file: nothing,
-/// and cameras.
+/// Splits `PATH?fps=N` or `PATH?topic=NAME`; a path that exists as typed is not split. Refuses what cannot be a file:
+/// an empty name, and cameras.
 pub fn file_name(name: &str) -> Result<FileName<'_>, SourceError> {
     let camera = camera_of(name).or_else(|| name.starts_with("v4l2:").then(|| name.to_owned()));
     let wanted = "wanted scene:…, random:…, a folder, an image, a recording or a video";
@@ -68,7 +68,7 @@ pub fn file_name(name: &str) -> Result<FileName<'_>, SourceError> {
     })
 }
 
-/// The drives that a name stands for: one, or for `scene:…seed=A..B…` one a seed, both ends included.
+/// The drives that a name means: one drive, or one for each seed of `scene:…seed=A..B…`, with both ends.
 ///
 /// # Errors
 /// When the range is empty or too long.
@@ -86,12 +86,12 @@ pub fn drives(name: &str) -> Result<Vec<String>, SourceError> {
             .collect()),
         _ => Err(SourceError::Name {
             found: name.to_owned(),
-            wanted: format!("wanted seed=A..B, A not above B, at most {DRIVES_MAX} seeds"),
+            wanted: format!("wanted seed=A..B with A not above B and at most {DRIVES_MAX} seeds"),
         }),
     }
 }
 
-/// What stands before, in and after the seed of a rendered drive.
+/// The text before, in and after the seed of a rendered drive.
 fn seed_in(name: &str) -> Option<(&str, &str, &str)> {
     let spec = name.strip_prefix("scene:")?;
     let start = name.len() - spec.len() + spec.find("seed=")? + "seed=".len();
@@ -101,8 +101,8 @@ fn seed_in(name: &str) -> Option<(&str, &str, &str)> {
     Some((before, seed, after))
 }
 
-/// A drive's name without its seed: drives of the same template differ in nothing else. Files and folders are templates of
-/// their own.
+/// A drive's name without its seed: drives of the same template differ only in their seeds. Each file or folder is its
+/// own template.
 pub fn template(name: &str) -> String {
     parts(name).0
 }
@@ -110,13 +110,13 @@ pub fn template(name: &str) -> String {
 fn parts(name: &str) -> (String, Option<u64>) {
     let seeded = seed_in(name).and_then(|(before, seed, after)| {
         let number: u64 = seed.parse().ok()?;
-        // What is written otherwise than we would is a name of its own.
+        // A seed that is not in its standard form makes the name its own template.
         (number.to_string() == seed).then(|| (format!("{before}*{after}"), Some(number)))
     });
     seeded.unwrap_or_else(|| (name.to_owned(), None))
 }
 
-/// Brings drives into the order in which they are always taken: by template, then by seed; files and folders in name order.
+/// Sorts drives into their fixed order: by template, then by seed; files and folders by name.
 pub fn sort_drives(names: &mut [String]) {
     names.sort_by_cached_key(|name| {
         let (template, seed) = parts(name);
@@ -124,7 +124,7 @@ pub fn sort_drives(names: &mut [String]) {
     });
 }
 
-/// The fewest names that stand for sorted drives: seeds that follow each other become ranges.
+/// The fewest names for sorted drives: consecutive seeds become ranges.
 pub fn ranges(sorted: &[String]) -> Vec<String> {
     let follows = |before: &String, name: &String| {
         let ((template, seed), (next_template, next)) = (parts(before), parts(name));
@@ -133,7 +133,7 @@ pub fn ranges(sorted: &[String]) -> Vec<String> {
                 .zip(next)
                 .is_some_and(|(a, b)| a.checked_add(1) == Some(b))
     };
-    // A range stands for no more drives than may be typed.
+    // A range has at most as many drives as one name may mean.
     let runs = sorted
         .chunk_by(follows)
         .flat_map(|run| run.chunks(RANGE_MAX));
@@ -156,7 +156,7 @@ pub enum NamePart {
     Text(String),
 }
 
-/// Name order as people mean it: runs of digits count as numbers, so `frame_2` comes before `frame_10`.
+/// Natural order of names: runs of digits count as numbers, so that `frame_2` comes before `frame_10`.
 pub fn name_order(name: &str) -> Vec<NamePart> {
     let name: Vec<char> = name.chars().collect();
     name.chunk_by(|a, b| a.is_ascii_digit() == b.is_ascii_digit())
@@ -170,8 +170,9 @@ pub fn name_order(name: &str) -> Vec<NamePart> {
         .collect()
 }
 
-/// Changes when what a name stands for does: hash of names, sizes and times of change of a file or of those in a folder;
-/// empty of what is rendered. A file rewritten within the disk's resolution of times, with as many bytes, is not noticed.
+/// A stamp that changes if the files behind a name change: a hash of the names, sizes and times of change of a file, or
+/// of the files in a folder; empty for rendered drives. It does not notice a file that is rewritten with the same size
+/// within the time resolution of the disk.
 ///
 /// # Errors
 /// When there is no such file or folder.

@@ -1,11 +1,11 @@
-//! A hand-over between a camera that does not wait and a judge that takes its time: the newest frame wins.
+//! Passes frames from a camera that does not wait to a judge that needs time: only the newest frame is kept.
 
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use super::{Frame, SourceError};
 
-/// Holds one frame. What is not fetched before the next one comes is dropped and counted.
+/// Holds one frame. A frame that is not taken before the next one comes is dropped and counted.
 #[derive(Default)]
 pub struct Newest {
     slot: Mutex<Slot>,
@@ -24,14 +24,14 @@ struct Slot {
 pub enum Taken {
     /// A frame.
     Frame(Frame),
-    /// None yet.
+    /// There is no frame yet.
     Nothing,
-    /// There will be no more, and why if that is an error.
+    /// There will be no more frames, and the error if there was one.
     Ended(Result<(), SourceError>),
 }
 
 impl Newest {
-    /// Puts a frame in the place of the one before.
+    /// Puts a frame in, instead of the one before.
     pub fn put(&self, frame: Frame) {
         let mut slot = self.slot();
         slot.dropped += u64::from(slot.frame.replace(frame).is_some());
@@ -57,12 +57,12 @@ impl Newest {
         slot.ended.take().map_or(Taken::Nothing, Taken::Ended)
     }
 
-    /// Frames that nobody took.
+    /// Number of frames that were not taken.
     pub fn dropped(&self) -> u64 {
         self.slot().dropped
     }
 
-    /// A slot is whole whatever happened to its last user.
+    /// The slot is consistent, also if its last user panicked.
     fn slot(&self) -> MutexGuard<'_, Slot> {
         self.slot.lock().unwrap_or_else(PoisonError::into_inner)
     }

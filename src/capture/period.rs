@@ -3,41 +3,41 @@
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
-/// The time from one frame to the next that is wanted now, told from the judge to the camera.
+/// The time from one frame to the next that the judge wants now; the camera reads it.
 #[derive(Debug)]
 pub struct WantedPeriod(AtomicU64);
 
 impl WantedPeriod {
-    /// To begin with.
+    /// Begins with this period.
     pub fn new(period: Duration) -> Self {
         let wanted = Self(AtomicU64::new(0));
         wanted.set(period);
         wanted
     }
 
-    /// From now on.
+    /// Sets the period from now on.
     pub fn set(&self, period: Duration) {
         let nanos = u64::try_from(period.as_nanos()).unwrap_or(u64::MAX);
         self.0.store(nanos, Ordering::Relaxed);
     }
 
-    /// Now.
+    /// The present period.
     pub fn get(&self) -> Duration {
         Duration::from_nanos(self.0.load(Ordering::Relaxed))
     }
 }
 
-/// Chooses frames at a wanted rate out of those that come at their own.
+/// Chooses frames at a wanted rate from frames that come at another rate.
 #[derive(Debug, Default)]
 pub struct Pace {
-    /// Where on its grid the last chosen frame lay.
+    /// Time of the last chosen frame on the grid of wanted times.
     last: Option<Duration>,
 }
 
 impl Pace {
-    /// Whether a frame at `now` is wanted, when the last one is to be `period` ago.
+    /// Whether a frame at `now` is wanted, if frames are wanted every `period`.
     pub fn is_due(&mut self, now: Duration, period: Duration) -> bool {
-        // Frames do not come on our grid: a quarter too early is on time.
+        // Frames do not come exactly at these times: a quarter of a period too early is on time.
         let slack = period / 4;
         let next = self.last.map_or(now, |last| last + period);
         let due = now + slack >= next;
@@ -64,7 +64,7 @@ mod tests {
         };
         assert_eq!(chosen(0, 31, 100).len(), 11);
         assert_eq!(chosen(31, 91, 500).len(), 4);
-        // The last place on the grid was at 3.0 s.
+        // The last time on the grid was 3.0 s.
         let fast = chosen(91, 121, 100);
         assert!(fast[0] <= 3_110 && fast.len() >= 9, "{fast:?}");
     }

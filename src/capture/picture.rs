@@ -2,7 +2,8 @@
 
 use std::path::PathBuf;
 
-/// Most pixels of a picture that is decoded; a larger one is refused before it costs memory. 8K video has 33 million.
+/// Largest number of pixels of a picture that is decoded. A larger one is refused before memory is used for it. 8K
+/// video has 33 million.
 pub const PIXELS_MAX: u64 = 34_000_000;
 
 /// An 8-bit RGB picture.

@@ -1,7 +1,7 @@
-//! What a source gives, byte by byte: RGB, or the formats of cameras.
+//! Pixels as a source gives them: RGB, or the formats of cameras.
 //!
-//! Owns the pixel formats. YCbCr is taken as BT.601 of limited range, what cameras with these formats send unless they say
-//! otherwise; colours of a camera that sends BT.709 are slightly off.
+//! It defines the pixel formats. YCbCr is read as BT.601 with limited range, which cameras with these formats send
+//! unless they say otherwise. The colours of a camera that sends BT.709 are slightly wrong.
 
 use std::sync::Arc;
 
@@ -13,9 +13,9 @@ use super::{PIXELS_MAX, Picture};
 pub enum PixelFormat {
     /// Y0 U Y1 V for two pixels in a row.
     Yuyv,
-    /// A plane of Y, then one of UV pairs at half the size in both directions.
+    /// A plane of Y, then a plane of UV pairs with half the size in both directions.
     Nv12,
-    /// A JPEG image a frame.
+    /// A JPEG image for each frame.
     Mjpg,
     /// Red, green, blue.
     Rgb3,
@@ -24,7 +24,7 @@ pub enum PixelFormat {
 }
 
 impl PixelFormat {
-    /// Of a name of four characters.
+    /// The format with this name of four characters.
     pub fn from_fourcc(fourcc: [u8; 4]) -> Option<Self> {
         match &fourcc {
             b"YUYV" => Some(Self::Yuyv),
@@ -36,7 +36,7 @@ impl PixelFormat {
         }
     }
 
-    /// Bytes of pixels in a row; of NV12 in each of its planes.
+    /// Bytes of pixels in a row; for NV12, in a row of each of its planes.
     fn row_bytes(self, width: usize) -> usize {
         match self {
             Self::Yuyv => 4 * width.div_ceil(2),
@@ -55,11 +55,11 @@ pub struct Layout {
     pub width: u32,
     /// Pixels.
     pub height: u32,
-    /// Bytes from one row to the next; 0 if the camera leaves it open.
+    /// Bytes from one row to the next; 0 if the camera does not give it.
     pub stride: u32,
 }
 
-/// A picture as its source gave it, never compressed; whole, and cheap to copy.
+/// A picture as its source gave it, never compressed. It is complete and cheap to copy.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Pixels {
     layout: Layout,
@@ -67,10 +67,10 @@ pub struct Pixels {
 }
 
 impl Layout {
-    /// The pixels in a camera's buffer, which is copied or, if it holds a JPEG image, decoded.
+    /// The pixels in a camera's buffer. The buffer is copied or, if it holds a JPEG image, decoded.
     ///
     /// # Errors
-    /// What is wrong with the buffer: too short, or no whole JPEG image of the granted size.
+    /// What is wrong with the buffer: it is too short, or it is not a complete JPEG image of the granted size.
     pub fn pixels(&self, bytes: &[u8]) -> Result<Pixels, String> {
         let Self {
             format,
@@ -91,7 +91,7 @@ impl Layout {
             PixelFormat::Nv12 => height + height.div_ceil(2),
             _ => height,
         };
-        // The last row may end with its pixels.
+        // The last row may have no padding.
         let wanted = stride * (rows - 1) + row_bytes;
         let whole = bytes
             .get(..wanted)
@@ -104,7 +104,7 @@ impl Layout {
     }
 }
 
-/// A picture without all of its pixels becomes one of no size at all.
+/// A picture with missing pixels becomes an empty picture.
 impl From<Picture> for Pixels {
     fn from(picture: Picture) -> Self {
         let whole = picture.rgb.len() == 3 * picture.width as usize * picture.height as usize;
@@ -128,19 +128,20 @@ impl From<Picture> for Pixels {
 /// Luma of black and of white, BT.601 of limited range.
 const LUMA: (u8, u8) = (16, 235);
 
-/// Where a row's brightness lies: one byte in every `step`, from the first on. All bytes of an RGB row tell of it.
+/// Where the brightness is in a row: one byte in every `step` bytes, beginning with the first. In an RGB row, all bytes
+/// count.
 #[derive(Clone, Copy, Debug)]
 pub struct Brightness {
-    /// Bytes from one to the next.
+    /// Bytes from one value to the next.
     pub step: usize,
-    /// Bytes a pixel.
+    /// Number of these bytes for each pixel.
     pub a_pixel: usize,
     /// The bytes of black and of white.
     pub range: (u8, u8),
 }
 
 impl Brightness {
-    /// A byte, or a mean of some, on the scale 0..255 of black to white.
+    /// A byte, or a mean of some bytes, on the scale from 0 (black) to 255 (white).
     pub fn of_255(&self, byte: u64) -> u8 {
         let (black, white) = (u64::from(self.range.0), u64::from(self.range.1));
         let level = byte.saturating_sub(black) * 255 / (white - black);
@@ -149,17 +150,17 @@ impl Brightness {
 }
 
 impl Pixels {
-    /// How the bytes are laid out; the stride is never left open.
+    /// The layout of the bytes; its stride is never 0.
     pub fn layout(&self) -> Layout {
         self.layout
     }
 
-    /// All bytes, [`Layout::stride`] a row.
+    /// All bytes, [`Layout::stride`] bytes for each row.
     pub fn bytes(&self) -> &[u8] {
         &self.bytes
     }
 
-    /// Where brightness lies in [`rows`](Self::rows).
+    /// Where the brightness is in [`rows`](Self::rows).
     pub fn brightness(&self) -> Brightness {
         let (step, a_pixel, range) = match self.layout.format {
             PixelFormat::Yuyv => (2, 2, LUMA),
@@ -173,7 +174,7 @@ impl Pixels {
         }
     }
 
-    /// Rows of pixels without what lies beside them; of NV12 those of luma.
+    /// Rows of pixels without padding; for NV12, the rows of luma.
     pub fn rows(&self) -> impl Iterator<Item = &[u8]> {
         let Brightness { a_pixel, .. } = self.brightness();
         let row_bytes = a_pixel * self.layout.width as usize;
@@ -182,7 +183,7 @@ impl Pixels {
             .map(move |row| &row[..row_bytes.min(row.len())])
     }
 
-    /// Whether nothing is brighter than `level`, of 255.
+    /// Whether nothing is brighter than `level`, from 0 to 255.
     pub fn is_at_most(&self, level: u8) -> bool {
         let brightness = self.brightness();
         let is_dark = |&byte: &u8| brightness.of_255(byte.into()) <= level;
@@ -212,7 +213,7 @@ impl Pixels {
         }
     }
 
-    /// In RGB, for people.
+    /// The picture in RGB, for people.
     pub fn picture(&self) -> Picture {
         let (width, height) = (self.layout.width as usize, self.layout.height as usize);
         let stride = self.layout.stride as usize;
@@ -220,7 +221,7 @@ impl Pixels {
         for (y, row) in self.rows().enumerate() {
             match self.layout.format {
                 PixelFormat::Yuyv => {
-                    // An odd row ends in half a pair, whose colours are there.
+                    // A row of odd width ends in half a pair, whose colours are present.
                     let whole = &self.bytes[y * stride..][..4 * width.div_ceil(2)];
                     for x in 0..width {
                         let pair = &whole[x / 2 * 4..][..4];
@@ -353,7 +354,7 @@ mod tests {
         // The decoder fills what is missing with grey.
         let cut = of(32).pixels(&jpeg[..jpeg.len() - 8]).unwrap_err();
         assert!(cut.contains("cut off"), "{cut}");
-        // Some cameras fill up their buffers.
+        // Some cameras fill their buffers up with zeros.
         let filled = [jpeg.as_slice(), &[0; 64]].concat();
         assert!(of(32).pixels(&filled).is_ok());
         assert!(of(32).pixels(&[]).is_err());

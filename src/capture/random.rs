@@ -1,4 +1,4 @@
-//! Pictures of random pixels: the far end of every table of gaps.
+//! Pictures of random pixels, which have the largest gap in every table.
 
 use super::pixels::Pixels;
 use super::{Frame, FrameSource, Picture, SourceError, time_of};

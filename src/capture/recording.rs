@@ -1,7 +1,7 @@
 //! MCAP recordings: the images of one topic with their own time stamps.
 //!
-//! Owns the choice of the topic and the line of time. Of the file only what concerns images is kept, and no record may be
-//! larger than the largest picture, so memory is bounded whatever the file says.
+//! It chooses the topic and the times of frames. Only records that concern images are kept, and no record may be larger
+//! than the largest picture, so memory is bounded whatever the file contains.
 
 mod message;
 
@@ -23,22 +23,22 @@ use message::{Kind, UNDERSTOOD};
 
 /// First bytes of a recording.
 const MAGIC: &[u8] = b"\x89MCAP0\r\n";
-/// Longest record, bytes: the largest picture, three bytes a pixel, in base64, and what else belongs to it.
+/// Longest record, bytes: the largest picture with three bytes for each pixel in base64, and its other fields.
 const RECORD_MAX: usize = 140_000_000;
-/// Most channels of a recording, and longest name of a topic or schema, bytes.
+/// Largest number of channels of a recording, and longest name of a topic or schema, bytes.
 const CHANNELS_MAX: usize = 4_096;
 const NAME_MAX: usize = 1_024;
-/// Topics that an error lists.
+/// Largest number of topics that an error lists.
 const LISTED_MAX: usize = 20;
-/// A longer step from one image to the next is taken for a wrong time stamp.
+/// A longer step from one image to the next counts as a wrong time stamp.
 const STEP_MAX: Duration = Duration::from_secs(3_600);
 
-/// Of so many images that bear the time of the one before, until so many in a row do not, the stamps are too coarse to be a
-/// clock. Our own choice.
+/// The stamps are too coarse for a clock if this many images have the same time as the image before. The count begins
+/// anew after `MOVING` images in a row that do not. Our own choice.
 const STILL_MAX: u32 = 3;
 const MOVING: u32 = 10;
 
-/// Whether a file begins as a recording does, or is called one.
+/// Whether a file begins like a recording, or has the name of a recording.
 pub fn is_recording(path: &Path) -> bool {
     let begins = || {
         let mut head = [0; MAGIC.len()];
@@ -64,12 +64,12 @@ pub struct RecordingSource {
 struct Topic {
     schema: String,
     encoding: String,
-    /// Messages, where the file says so.
+    /// Number of messages, if the file gives it.
     messages: Option<u64>,
 }
 
 impl RecordingSource {
-    /// Opens a recording at its only topic with images, or at the one that is asked for.
+    /// Opens the only topic with images of a recording, or the topic that is asked for.
     pub fn open(path: &Path, topic: Option<&str>) -> Result<Self, SourceError> {
         let fail = |why: String| SourceError::Recording {
             path: path.to_owned(),
@@ -108,7 +108,11 @@ impl FrameSource for RecordingSource {
             return Ok(None);
         };
         let read = kind.map_or_else(
-            || Err(format!("a message that is no image, wanted {UNDERSTOOD}")),
+            || {
+                Err(format!(
+                    "a message that is not an image, wanted {UNDERSTOOD}"
+                ))
+            },
             |kind| kind.image(&data),
         );
         let stamp = read.as_ref().ok().map(|image| image.stamp);
@@ -142,9 +146,10 @@ impl FrameSource for RecordingSource {
 struct Clock {
     /// The first image's time since the epoch of the recording.
     began_at: Option<Duration>,
-    /// Images bear their own time; otherwise the time at which they were recorded counts.
+    /// Whether the images' own times are used; otherwise the times at which they were recorded are used.
     own: bool,
-    /// Images that bear the time of the one before although they were recorded later, and how many others followed since.
+    /// Number of images that have the time of the image before although they were recorded later, and how many other
+    /// images have followed since.
     still: u32,
     moving: u32,
     last_stamp: Duration,
@@ -153,9 +158,9 @@ struct Clock {
 }
 
 impl Clock {
-    /// Where an image lies in time. One whose time is not after the one before, or more than an hour after it, stands still,
-    /// which the monitor takes for a fault of the camera; time goes on from there. Stamps that often stand still are no clock:
-    /// from then on the time of recording counts.
+    /// The time of an image. If its time is not after the image before, or is more than an hour after it, it gets the
+    /// time of the image before, which the monitor treats as a fault of the camera; time continues from there. If the
+    /// stamps often do not increase, they are no clock: from then on, the time of recording is used.
     fn place(&mut self, log_time: Duration, own: Option<Duration>) -> Duration {
         if self.began_at.is_none() {
             self.own = own.is_some_and(|stamp| !stamp.is_zero());
@@ -164,7 +169,7 @@ impl Clock {
         }
         let stamp = match own.filter(|_| self.own) {
             Some(own) => own,
-            // Of an image that cannot be read: as long after the one before as it was recorded.
+            // For an image that cannot be read: as long after the image before as it was recorded.
             None if self.own => self
                 .last_stamp
                 .saturating_add(log_time.saturating_sub(self.last_log_time)),
@@ -193,7 +198,7 @@ impl Clock {
         }
         if self.still >= STILL_MAX {
             log::warn!(
-                "the stamps of images stand still; from now on the time of recording counts"
+                "the stamps of images often do not increase; from now on the time of recording is used"
             );
             self.own = false;
             self.last_stamp = self.last_log_time;
@@ -201,12 +206,15 @@ impl Clock {
     }
 }
 
-/// The topics of a file: from its summary, or, where it has none, from all of it.
+/// The topics of a file: from its summary or, if it has none, from the whole file.
 fn topics(path: &Path) -> Result<BTreeMap<String, Topic>, String> {
     match summary(path) {
         Ok(Some(topics)) if !topics.is_empty() => return Ok(topics),
         Ok(_) => {}
-        Err(why) => log::info!("{}: no summary ({why}); reading all of it", path.display()),
+        Err(why) => log::info!(
+            "{}: no summary ({why}); reading the whole file",
+            path.display()
+        ),
     }
     let mut records = Records::open(path)?;
     let mut counts: BTreeMap<String, u64> = BTreeMap::new();
@@ -214,7 +222,7 @@ fn topics(path: &Path) -> Result<BTreeMap<String, Topic>, String> {
         match records.next(None) {
             Ok(Some(message)) => *counts.entry(message.topic).or_default() += 1,
             Ok(None) => break None,
-            // What is before the break can still be looked at.
+            // The messages before the damage can still be used.
             Err(why) => break Some(why),
         }
     };
@@ -236,7 +244,7 @@ fn topics(path: &Path) -> Result<BTreeMap<String, Topic>, String> {
     }
 }
 
-/// The topics that the summary at the end of a file lists; `None` without one.
+/// The topics that the summary at the end of a file lists; `None` without a summary.
 fn summary(path: &Path) -> Result<Option<BTreeMap<String, Topic>>, String> {
     let mut file = File::open(path).map_err(|error| error.to_string())?;
     let size = file.metadata().map_err(|error| error.to_string())?.len();
@@ -343,7 +351,7 @@ struct Channel {
     kind: Option<Kind>,
 }
 
-/// A file's records in their order.
+/// The records of a file, in their order.
 struct Records {
     file: BufReader<File>,
     reader: LinearReader,
@@ -367,7 +375,8 @@ impl Records {
         })
     }
 
-    /// The next message of a topic; of any topic, then without its data, if none is named. Nothing after an error.
+    /// The next message of a topic. If no topic is named, the next message of any topic, without its data. Returns
+    /// nothing after an error.
     fn next(&mut self, topic: Option<&str>) -> Result<Option<Message>, String> {
         if self.ended {
             return Ok(None);
@@ -452,7 +461,7 @@ fn check_name(name: &str) -> Result<(), String> {
     ))
 }
 
-/// An error with what is behind it, in one line.
+/// An error with its cause, in one line.
 fn plain(error: &mcap::McapError) -> String {
     match error {
         mcap::McapError::Io(error) => error.to_string(),
@@ -471,10 +480,10 @@ mod tests {
         let placed: Vec<f64> = [
             (0.0, Some(1000.0)),
             (0.1, Some(1000.1)),
-            // Cannot be read.
+            // An image that cannot be read.
             (0.2, None),
             (0.3, Some(1000.3)),
-            // Far ahead, and back.
+            // A time far ahead, and then back.
             (0.4, Some(2e9)),
             (0.5, Some(2e9 + 0.1)),
             (0.6, Some(1000.6)),

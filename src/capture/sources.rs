@@ -1,4 +1,4 @@
-//! Names → sources: what a user types, opened.
+//! Names → sources: opens what a user types.
 
 use std::sync::{Arc, OnceLock};
 
@@ -12,24 +12,24 @@ use super::recording;
 use super::wish::{CameraFacts, CameraWish};
 use super::{images, random, video};
 
-/// The built-in drive: nominal for 20 s, fog of 60 m visibility to 40 s, nominal again to 60 s.
+/// The built-in drive: nominal up to 20 s, fog with 60 m visibility up to 40 s, nominal again up to 60 s.
 pub const BUILT_IN_DRIVE: &str = "scene:sim?seed=7&seconds=60&fps=10&condition=fog:4@20-40";
 
-/// Opens a rendered drive by what stands behind `scene:`.
+/// Opens a rendered drive from the text after `scene:`.
 type OpenScene = fn(&str) -> Result<Box<dyn FrameSource>, SourceError>;
 
 static SCENES: OnceLock<OpenScene> = OnceLock::new();
 
-/// From now on, [`open`] opens `scene:…` with this; the first one that is registered stays.
+/// Registers the function with which [`open`] opens `scene:…`. Only the first registration counts.
 pub fn register_scenes(open: OpenScene) {
     let _ = SCENES.set(open);
 }
 
-/// Opens what a board names as its camera: `v4l2:/dev/videoN`, asked for what is wished, of which a frame every `period` is
-/// given at most; or any other source.
+/// Opens what a board names as its camera: `v4l2:/dev/videoN`, which is asked for `wish` and returns at most one frame
+/// every `period`, or any other source.
 ///
 /// # Errors
-/// When there is no such camera, or as [`open`].
+/// When there is no such camera, or like [`open`].
 #[cfg_attr(not(feature = "camera"), expect(unused_variables))]
 pub fn open_camera(
     name: &str,
@@ -45,10 +45,10 @@ pub fn open_camera(
     }
 }
 
-/// Asks the camera `v4l2:/dev/videoN` about itself, without taking frames; `None` of any other source.
+/// Asks the camera `v4l2:/dev/videoN` about itself, without taking frames; `None` for any other source.
 ///
 /// # Errors
-/// When there is no such camera, or this build has none.
+/// When there is no such camera, or when this build has no cameras.
 pub fn camera_facts(name: &str) -> Result<Option<CameraFacts>, SourceError> {
     match name.strip_prefix("v4l2:") {
         #[cfg(feature = "camera")]
@@ -70,7 +70,7 @@ fn no_camera(name: &str) -> SourceError {
 /// Opens a source by the name a user types: `scene:…`, `random:…`, a folder, an image, a recording or a video file.
 ///
 /// # Errors
-/// When the name is not understood or nothing readable is behind it.
+/// When the name is not understood, or nothing readable is there.
 pub fn open(name: &str) -> Result<Box<dyn FrameSource>, SourceError> {
     if let Some(spec) = name.strip_prefix("scene:") {
         let Some(open) = SCENES.get() else {
@@ -102,7 +102,7 @@ pub fn open(name: &str) -> Result<Box<dyn FrameSource>, SourceError> {
     };
     if fps.is_some() {
         return wrong(
-            "?fps= is for folders of images; a video or recording has its own times, one image has none",
+            "?fps= is only for folders of images; a video or recording has its own times, and a single image has none",
         );
     }
     #[cfg(not(feature = "lab"))]

@@ -1,4 +1,4 @@
-//! Why something cannot be said. Undefined is a value: it is passed on, counted and reported, never a NaN.
+//! Why something has no value. This reason is passed on, counted and reported; it is never a NaN.
 
 use serde::{Deserialize, Serialize};
 
@@ -19,15 +19,15 @@ pub enum Undefined {
     /// Every pixel has the same colour.
     #[error("picture is uniform: every pixel has the same colour")]
     Uniform,
-    /// The same picture, bit by bit, for longer than a camera's noise allows.
+    /// The picture has stayed the same, bit for bit, for longer than a camera's noise allows.
     #[error("picture has not changed for {} ms", .0.as_millis())]
     Frozen(std::time::Duration),
     /// A frame whose number or time is not after that of the frame before it.
-    #[error("frame {number} came after frame {before}, or its time did not go on")]
+    #[error("frame {number} came after frame {before}, or its time did not increase")]
     OutOfOrder {
         /// Number of the frame.
         number: u64,
-        /// Number of the one before.
+        /// Number of the frame before.
         before: u64,
     },
     /// More than half of the picture is black, but not all of it, or most of it shows neither structure nor motion.
@@ -46,11 +46,11 @@ pub enum Undefined {
     NotFinite {
         /// Name of the tap.
         tap: String,
-        /// Place of the first one.
+        /// Position of the first one.
         channel: usize,
-        /// Place of the first one.
+        /// Position of the first one.
         row: usize,
-        /// Place of the first one.
+        /// Position of the first one.
         column: usize,
     },
     /// The energy is the same everywhere, so it says nothing about where the encoder looks.
@@ -59,26 +59,26 @@ pub enum Undefined {
     /// No pixel fell into a counted bin.
     #[error("histogram is empty")]
     EmptyHistogram,
-    /// Correlation with a histogram whose bins are all equal.
+    /// A correlation with a histogram whose bins are all equal.
     #[error("histogram is constant, so it correlates with nothing")]
     ConstantHistogram,
-    /// The reference's scale gives no number for this gap.
+    /// The scale of the reference gives no finite score for this gap.
     #[error("gap has no finite score on the reference's scale")]
     NoScore,
     /// Too few images for the wanted statistic.
     #[error("too few images: {found}, wanted at least {wanted}")]
     TooFewImages {
-        /// Images at hand.
+        /// Number of images available.
         found: usize,
         /// Images needed.
         wanted: usize,
     },
-    /// A block with other channels than the reference was made with.
-    #[error("block of {found} channels and cells, the reference has {wanted}")]
+    /// The block has another number of channels than the reference.
+    #[error("block has {found} channels and cells, but the reference has {wanted}")]
     EnergyCount {
-        /// Of the block.
+        /// Number in the block.
         found: usize,
-        /// Of the reference.
+        /// Number in the reference.
         wanted: usize,
     },
     /// No frame came.

@@ -11,7 +11,7 @@ use serde::Deserialize;
 use super::pixels::Pixels;
 use super::{Frame, FrameSource, PIXELS_MAX, Picture, SourceError, time_of};
 
-/// Nothing but local files is opened, whatever a playlist says.
+/// Only local files are opened, whatever a playlist says.
 const PROTOCOLS: [&str; 2] = ["-protocol_whitelist", "file,pipe"];
 
 #[derive(Deserialize)]
@@ -31,7 +31,7 @@ pub struct VideoSource {
     path: PathBuf,
     ffmpeg: Child,
     frames: BufReader<ChildStdout>,
-    /// A file, not a pipe: `ffmpeg` must never wait for us to read its complaints.
+    /// A file and not a pipe, so that `ffmpeg` never waits until its messages are read.
     complaints: File,
     size: (u32, u32),
     fps: f64,
@@ -90,7 +90,7 @@ impl VideoSource {
             .args(PROTOCOLS)
             .args(["-nostdin", "-v", "error", "-noautorotate", "-i"])
             .arg(&input)
-            // One rate for a stream of any: frame n lies at n / rate.
+            // Makes the rate constant: frame n is at the time n / rate.
             .args([
                 "-map",
                 "0:v:0",
@@ -112,7 +112,7 @@ impl VideoSource {
             .spawn()
             .map_err(|error| missing("ffmpeg", &error))?;
         let Some(frames) = ffmpeg.stdout.take() else {
-            return Err(fail("no pipe from ffmpeg".to_owned()));
+            return Err(fail("there is no pipe from ffmpeg".to_owned()));
         };
         Ok(Self {
             path: path.to_owned(),
@@ -125,7 +125,7 @@ impl VideoSource {
         })
     }
 
-    /// The end of the pipe: a good end, or what `ffmpeg` said.
+    /// The end of the pipe: a regular end, or the error message of `ffmpeg`.
     fn finish(&mut self, left_over: usize) -> Result<Option<Frame>, SourceError> {
         let mut said = Vec::new();
         let ended_well = self.ffmpeg.wait().is_ok_and(|status| status.success());

@@ -1,11 +1,11 @@
-//! What a camera is asked for, and what it says of itself.
+//! What a camera is asked for, and what it reports about itself.
 
-/// Pixel formats of cameras that are understood, by the names of V4L2.
+/// Supported pixel formats of cameras, with the names of V4L2.
 pub const CAMERA_FORMATS: [&str; 5] = ["YUYV", "NV12", "MJPG", "RGB3", "BGR3"];
-/// What to ask a camera for; what it grants counts.
+/// What to ask a camera for. What the camera grants is used.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct CameraWish {
-    /// Four characters of V4L2, such as `YUYV`.
+    /// Pixel format, four characters of V4L2 such as `YUYV`.
     pub format: Option<String>,
     /// Width and height, pixels.
     pub size: Option<(u32, u32)>,
@@ -13,13 +13,13 @@ pub struct CameraWish {
     pub fps: Option<f64>,
 }
 
-/// What a camera says of itself.
+/// What a camera reports about itself.
 #[derive(Clone, Debug)]
 pub struct CameraFacts {
-    /// Its name and the driver's.
+    /// Its name and the name of the driver.
     pub name: String,
-    /// What it is set to.
+    /// Its present settings.
     pub set_to: String,
-    /// Pixel formats that it offers, by the names of V4L2.
+    /// Pixel formats that it offers, with the names of V4L2.
     pub formats: Vec<String>,
 }

@@ -1,7 +1,7 @@
-//! Reference files: what nominal attention looks like, for which model, and from which gap on it is an alarm.
+//! Reference files: what nominal attention looks like, for which model, and from which gap on there is an alarm.
 //!
 //! A reference is self-describing JSON for people and programs. It carries the fingerprint of the model and its
-//! preprocessing, and is refused by any other. Owns reading, checking and writing; it is made by `calibration`.
+//! preprocessing, and cannot be used with any other. This module reads, checks and writes it; `calibration` makes it.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -18,17 +18,17 @@ use crate::reference::gap::Metric;
 use crate::reference::nominal::TapReference;
 use crate::statistics::event_rate::{CountedRate, Loudness};
 
-/// Shortest and longest window of the detector, seconds: it holds 32 frames, which at 10 frames a second is 3 s.
+/// Shortest window of the detector, seconds. The longest one holds 32 frames, which is about 3 s at 10 frames a second.
 pub const WINDOW_S_MIN: f64 = 0.05;
 /// See [`WINDOW_S_MIN`].
 pub const WINDOW_S_MAX: f64 = 3.0;
-/// Most nominal domains of a reference: each costs a comparison a frame.
+/// Largest number of nominal domains of a reference: each one costs a comparison for each frame.
 pub const COMPONENTS_MAX: usize = 64;
-/// Largest file: four times what all components of the shipped model would take.
+/// Largest file: four times the size of a file with all components for the shipped model.
 pub(crate) const BYTES_MAX: u64 = 64 << 20;
 const FORMAT: &str = "gapwatch-reference";
 const VERSION: u32 = 4;
-/// Most hours and entries of nominal drives that are believed.
+/// Largest number of hours and entries of nominal drives that is accepted.
 const HOURS_MAX: f64 = 1e6;
 const ENTRIES_MAX: u64 = 10_000_000;
 const BUILT_IN: &str = include_str!("../../calibration/sim.json");
@@ -39,20 +39,21 @@ const BUILT_IN: &str = include_str!("../../calibration/sim.json");
 pub struct Reference {
     format: String,
     version: u32,
-    /// The model that it holds for.
+    /// The model for which it was made.
     pub model: ModelFingerprint,
-    /// Made of simulation alone, so that any real road is a standing gap. Never of `lane-risk`, which asks what the lane
-    /// model loses, not where the road is.
+    /// Whether it is made of simulation alone, so that any real road is always a gap. Never true for `lane-risk`, which
+    /// forecasts what the lane model loses on any road.
     pub strict: bool,
-    /// How gaps are measured.
+    /// Metric that measures the gap.
     pub metric: Metric,
     /// Length of the detector's window, seconds.
     pub window_s: f64,
     /// How often nominal driving enters `Gap`.
     pub false_alarms: FalseAlarms,
-    /// Where it came from.
+    /// How it was made.
     pub provenance: Provenance,
-    /// The domains that are nominal: the simulation first, then what was accepted. The gap is the smallest over them.
+    /// The domains that are nominal: the simulation first, then what was accepted. The gap is the smallest one over
+    /// these domains.
     pub components: Vec<Component>,
 }
 
@@ -62,7 +63,7 @@ pub struct Reference {
 pub struct Component {
     /// `simulation`, or the accepted source as typed.
     pub name: String,
-    /// One entry a tap, in the order of the model's taps.
+    /// One entry for each tap, in the order of the model's taps.
     pub taps: Vec<TapReference>,
 }
 
@@ -70,21 +71,21 @@ pub struct Component {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct FalseAlarms {
-    /// The rate asked for, entries an hour.
+    /// The rate that was asked for, entries an hour.
     pub wanted_per_hour: f64,
     /// How the thresholds were found.
     pub method: String,
-    /// Factor on all thresholds' distances from their medians that came of it.
+    /// The result: a factor on the distances of all thresholds from their medians.
     pub factor: f64,
     /// What the factor would be for other rates.
     pub factors: Vec<RateFactor>,
-    /// The drives that it was found on.
+    /// The drives on which the factor was set.
     pub chosen_on: NominalDrives,
-    /// Other drives that it was tried on, if there were any.
+    /// Other drives on which it was judged, if there were any.
     pub judged_on: Option<NominalDrives>,
 }
 
-/// The factor that a rate of false alarms asks for.
+/// The factor for a rate of false alarms.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RateFactor {
@@ -100,19 +101,19 @@ pub struct RateFactor {
 pub struct NominalDrives {
     /// Drives in which something could be judged.
     pub drives: u64,
-    /// Judged hours in all.
+    /// Total of judged hours.
     pub hours: f64,
     /// Entries into `Gap`.
     pub entries: u64,
     /// 95 % interval of the rate an hour (Poisson, exact).
     pub per_hour: (f64, f64),
-    /// One-sided 95 % bounds of the rate an hour from resampling drives, in which entries come together; left out where
-    /// entries by drive are not known.
+    /// One-sided 95 % bounds of the rate an hour from resampling drives, because entries of a drive depend on each
+    /// other; left out if the entries of each drive are not known.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub resampled: Option<(f64, f64)>,
 }
 
-/// What makes two encoders see alike.
+/// What two encoders must have in common to see the same.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ModelFingerprint {
@@ -128,7 +129,7 @@ pub struct ModelFingerprint {
     pub resize: String,
 }
 
-/// Where a reference came from.
+/// How a reference was made.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Provenance {
@@ -136,7 +137,7 @@ pub struct Provenance {
     pub gapwatch: String,
     /// The command that makes it again.
     pub command: String,
-    /// What was looked at.
+    /// The sources from which it was made.
     pub sources: Vec<SourceUse>,
 }
 
@@ -146,10 +147,10 @@ pub struct Provenance {
 pub struct SourceUse {
     /// As typed.
     pub source: String,
-    /// What it was there for; unknown of references that were made before roles were written.
+    /// Its role; unknown in references that were made before roles were written.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub role: Option<Role>,
-    /// Frames it gave.
+    /// Number of its frames.
     pub frames: u64,
     /// Frames that made the histograms.
     pub fitted: u64,
@@ -157,7 +158,7 @@ pub struct SourceUse {
     pub held_out: u64,
 }
 
-/// What a source was there for.
+/// The role of a source.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Role {
@@ -167,7 +168,7 @@ pub enum Role {
     Accepted,
     /// Sets and judges the rate of false alarms.
     HeldOut,
-    /// What the lane model loses is learnt from it.
+    /// It is learnt from this source what the lane model loses.
     Labelled,
 }
 
@@ -182,7 +183,7 @@ pub enum ReferenceError {
         /// Why.
         error: std::io::Error,
     },
-    /// The file is no reference of this version.
+    /// The file is not a reference of this version.
     #[error(
         "reference {name}: {found}; wanted {FORMAT} version {VERSION} as written by gapwatch calibrate"
     )]
@@ -192,34 +193,34 @@ pub enum ReferenceError {
         /// What was found.
         found: String,
     },
-    /// It was made for another model or another way of feeding it.
+    /// It was made for another model or for another preprocessing.
     #[error(
-        "reference {name} does not fit the model in use: {what} is {found}, the reference was made with {wanted}; calibrate one for this model, or name its model"
+        "reference {name} does not fit the model in use: {what} is {found}, the reference was made with {wanted}; make a reference for this model, or name its model"
     )]
     OtherModel {
         /// File or built-in name.
         name: String,
         /// Which part differs.
         what: &'static str,
-        /// Of the model in use.
+        /// Value of the model in use.
         found: String,
-        /// Of the reference.
+        /// Value of the reference.
         wanted: String,
     },
 }
 
 impl FalseAlarms {
-    /// What the judging drives say of the rate asked for; without any it is not shown.
+    /// What the judging drives say about the rate that was asked for. Without judging drives, it is not shown.
     pub fn loudness(&self) -> Loudness {
         self.judged_rate().loudness(self.wanted_per_hour)
     }
 
-    /// The same in words, with the bound that it rests on, or with what is missing.
+    /// The same as text, with the bound on which it is based, or with what is missing.
     pub fn said(&self) -> String {
         self.judged_rate().said(self.wanted_per_hour)
     }
 
-    /// What is missing before the rate is shown not to be louder than asked; `None` when nothing is missing.
+    /// What is missing to show that the rate is not louder than asked; `None` if nothing is missing.
     pub fn missing(&self) -> Option<String> {
         self.judged_rate().missing(self.wanted_per_hour)
     }
@@ -264,7 +265,8 @@ impl ModelFingerprint {
         }
     }
 
-    /// The first part in which another model sees otherwise: what it is, here and there. Names do not matter.
+    /// The first part in which another model differs: what the part is, and its value here and there. Names do not
+    /// matter.
     pub fn difference(&self, other: &Self) -> Option<(&'static str, String, String)> {
         let parts = [
             ("hash", self.sha256.clone(), other.sha256.clone()),
@@ -336,7 +338,7 @@ impl Reference {
         if format != FORMAT || version != VERSION {
             return Err(malformed(format!("format {format}, version {version}")));
         }
-        // Of the text, since a value does not know its lines.
+        // Read from the text, because a value does not know its lines.
         let reference: Self =
             serde_json::from_str(text).map_err(|error| malformed(fault(&error)))?;
         match reference.fault() {
@@ -383,7 +385,7 @@ impl Reference {
         })
     }
 
-    /// Refuses a model that the reference was not made with.
+    /// Refuses a model with which the reference was not made.
     ///
     /// # Errors
     /// `OtherModel` with the first part that differs.
@@ -418,14 +420,14 @@ impl Reference {
         file.finish().map_err(failed)
     }
 
-    /// One byte that tells references apart on the bus: the first of the hash of the file's text.
+    /// One byte that distinguishes references on the bus: the first byte of the hash of the file's text.
     pub fn id(&self) -> u8 {
         Sha256::digest(self.to_json().as_bytes())[0]
     }
 }
 
 impl Component {
-    /// Numbers that some domains take of a frame.
+    /// How many numbers some domains take from a frame.
     pub fn taken_len(components: &[Self]) -> usize {
         let taps = components.iter().flat_map(|component| &component.taps);
         taps.map(|tap| tap.nominal.len()).sum()

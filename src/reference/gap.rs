@@ -1,4 +1,4 @@
-//! Histograms or channel energies against a reference → gap: one number a block, 0 for the same domain.
+//! Histograms or channel energies against a reference → gap: one number for each block, 0 for the same domain.
 
 mod chi_square;
 pub mod frechet;
@@ -25,7 +25,7 @@ pub const PAPER_LEVELS: usize = 256;
 /// First level that the paper counts: bins 0..100 are left out.
 pub const PAPER_FIRST_LEVEL: usize = 101;
 
-/// A gap metric: what is taken of a frame, and how that is compared with a reference.
+/// A gap metric: what is taken from a frame, and how it is compared with a reference.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub enum Metric {
@@ -59,7 +59,7 @@ pub enum Divergence {
 }
 
 impl Divergence {
-    /// All of them.
+    /// All ways to compare.
     pub const ALL: [Self; 5] = [
         Self::Pearson,
         Self::ChiSquare,
@@ -79,7 +79,7 @@ impl Divergence {
         }
     }
 
-    /// Compares two histograms, `[bins]` pixels each; only their shapes count, not their totals.
+    /// Compares two histograms, `[bins]` pixels each. Only their shapes count, and not their totals.
     ///
     /// # Errors
     /// `EmptyHistogram` or `ConstantHistogram` when the comparison has no value.
@@ -107,7 +107,7 @@ impl Divergence {
 }
 
 impl Metric {
-    /// The metric that decides unless another is asked for; `calibration/RESULTS.md` has the comparison.
+    /// The default metric; `calibration/RESULTS.md` has a comparison of metrics.
     pub const DEFAULT: Self = Self::Mahalanobis;
 
     /// All metrics.
@@ -128,7 +128,7 @@ impl Metric {
         all
     }
 
-    /// Whether it compares any two sets of images.
+    /// Checks that the metric can compare any two sets of images.
     ///
     /// # Errors
     /// When it must be learnt from labelled drives first.
@@ -143,8 +143,8 @@ impl Metric {
         }
     }
 
-    /// The blocks whose largest score decides, of `blocks` tapped ones: all; of the forecast the last one, which
-    /// follows the loss most closely: it is next to the lane head.
+    /// The blocks whose largest score decides, of `blocks` tapped blocks. These are all blocks. For the forecast, it is
+    /// the last block, which predicts the loss best because it is next to the lane head.
     pub fn deciding(self, blocks: usize) -> Range<usize> {
         match self {
             Self::LaneRisk => blocks.saturating_sub(1)..blocks,
@@ -152,7 +152,7 @@ impl Metric {
         }
     }
 
-    /// How its histograms are compared; `None` of a metric that counts none.
+    /// How its histograms are compared; `None` for a metric without histograms.
     pub fn divergence(self) -> Option<Divergence> {
         match self {
             Self::Paper => Some(Divergence::Pearson),
@@ -204,18 +204,18 @@ impl From<Metric> for String {
     }
 }
 
-/// A metric that sets of images cannot be compared by.
+/// A metric with which sets of images cannot be compared.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "{0} is learnt from labelled drives, and a comparison of sets of images has none; wanted calibrate --metric {0} \
+    "{0} is learnt from labelled drives, which a comparison of sets of images does not have; wanted calibrate --metric {0} \
      --labelled scene:…, and replay --reference with the reference that it makes, or another metric"
 )]
 pub struct NeedsLabels(pub Metric);
 
-/// What a metric says of two histograms.
+/// What a metric says about two histograms.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Comparison {
-    /// The metric's own number: a correlation, or a distance.
+    /// The value of the metric: a correlation, or a distance.
     pub value: f64,
     /// Larger is worse; 0 for equal histograms.
     pub gap: f64,

@@ -1,4 +1,4 @@
-//! What is nominal of one tapped block, and how far windows lie from it.
+//! What is nominal in one tapped block, and how far windows are from it.
 
 use serde::{Deserialize, Serialize};
 
@@ -10,9 +10,9 @@ use crate::reference::gap::lane_risk::LaneRisk;
 use crate::reference::gap::moments::{EnergyNorm, energy_levels};
 use crate::reference::gap::{Comparison, Metric};
 
-/// Largest gap of a metric that compares histograms: that of a correlation of -1.
+/// Largest gap of a metric that compares histograms: the gap of a correlation of -1.
 const GAP_MAX: f64 = 2.0;
-/// Least distance of a threshold from its median.
+/// Smallest distance of a threshold from its median.
 pub const SPREAD_MIN: f64 = 1e-9;
 
 /// Nominal attention of one tapped block.
@@ -23,19 +23,19 @@ pub struct TapReference {
     pub tap: String,
     /// Median over the images of the largest energy, squared activation units: the scale of this block.
     pub median_peak_energy: f64,
-    /// Images looked at.
+    /// Number of images.
     pub images: u64,
-    /// What they have in common.
+    /// What is nominal in these images.
     pub nominal: Nominal,
     /// Nominal gaps by the number of frames in the window, fewest first.
     pub scale: Vec<ScalePoint>,
 }
 
-/// What is taken of a frame, and what that is on nominal ones.
+/// What is taken from a frame, and its values on nominal frames.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub enum Nominal {
-    /// Pixels by their energy.
+    /// Counts of pixels by their energy.
     Histogram {
         /// How pixels are counted.
         binning: Binning,
@@ -44,7 +44,7 @@ pub enum Nominal {
     },
     /// Energies by channel and by cell.
     Energies(EnergyNorm),
-    /// The same, and what the lane model loses with them.
+    /// Energies by channel and by cell, and what the lane model loses with them.
     LaneRisk(LaneRisk),
 }
 
@@ -52,9 +52,9 @@ pub enum Nominal {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ScalePoint {
-    /// Frames a window.
+    /// Number of frames in a window.
     pub frames: usize,
-    /// Windows looked at.
+    /// Number of windows.
     pub windows: usize,
     /// Median gap: score 0.
     pub median: f64,
@@ -63,7 +63,7 @@ pub struct ScalePoint {
 }
 
 impl TapReference {
-    /// What is wrong with it.
+    /// What is wrong with it, if anything.
     pub(super) fn fault(&self, metric: Metric) -> Option<String> {
         if self.images == 0 {
             return Some("made of no images".to_owned());
@@ -86,7 +86,7 @@ impl TapReference {
             Nominal::Energies(_) | Nominal::LaneRisk(_) => f64::MAX,
         };
         let least = match self.nominal {
-            // A forecast: a little below 0 on an easy road.
+            // A forecast may be a little below 0 on an easy road.
             Nominal::LaneRisk(_) => f64::MIN,
             _ => -1e-9,
         };
@@ -105,8 +105,8 @@ impl TapReference {
         None
     }
 
-    /// Median and threshold for windows of `frames`, linear in `1 / frames` between the points of the scale: the gap of
-    /// an average of `n` histograms falls as `1 / n` towards that of infinitely many.
+    /// Median and threshold for windows of `frames`, linear in `1 / frames` between the points of the scale, because
+    /// the gap of an average of `n` histograms falls like `1 / n` towards the gap of infinitely many.
     #[allow(clippy::cast_precision_loss)]
     pub fn scale_for(&self, frames: usize) -> (f64, f64) {
         let next = self
@@ -129,7 +129,7 @@ impl TapReference {
 }
 
 impl Nominal {
-    /// Numbers that are taken of a frame: bins or energies.
+    /// How many numbers are taken from a frame: bins or energies.
     pub fn len(&self) -> usize {
         match self {
             Self::Histogram { counts, .. } => counts.len(),
@@ -138,15 +138,17 @@ impl Nominal {
         }
     }
 
-    /// Whether nothing is taken of a frame; never of a reference that was read whole.
+    /// Whether nothing is taken from a frame; never true for a reference that was read without an error.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
-    /// Takes one block of a frame: `common` is its energy map at the common size, `taken` `[len]`. Allocates nothing.
+    /// Takes what it needs from one block of a frame: `common` is its energy map at the common size, and `taken`
+    /// `[len]` is the result. Allocates nothing.
     ///
     /// # Errors
-    /// `ConstantMap` when the map says nothing, `EnergyCount` when the block has other channels than the reference.
+    /// `ConstantMap` if the map is constant, `EnergyCount` if the block has another number of channels than the
+    /// reference.
     pub fn take(
         &self,
         common: &EnergyMap,
@@ -172,7 +174,7 @@ impl Nominal {
         }
     }
 
-    /// Compares the sum over a window of `frames` frames with the nominal ones.
+    /// Compares the sum over a window of `frames` frames with the nominal values.
     ///
     /// # Errors
     /// Why there is no value.

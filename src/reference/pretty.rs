@@ -1,4 +1,4 @@
-//! JSON for people: indented, but numbers in an array stand side by side.
+//! JSON for people: it is indented, but the numbers of an array are side by side.
 
 use std::io::{self, Write};
 
@@ -12,7 +12,7 @@ const LINE: usize = 110;
 pub fn to_json(value: &impl Serialize) -> String {
     let mut text = Vec::new();
     let mut serializer = Serializer::with_formatter(&mut text, InRows::default());
-    // Our types have string keys and finite numbers, and a Vec takes every byte.
+    // This cannot fail: our types have string keys and finite numbers, and a Vec accepts every byte.
     value.serialize(&mut serializer).unwrap_or_default();
     text.push(b'\n');
     String::from_utf8_lossy(&text).into_owned()
@@ -22,7 +22,8 @@ pub fn to_json(value: &impl Serialize) -> String {
 #[derive(Default)]
 struct InRows {
     pretty: PrettyFormatter<'static>,
-    /// An element of an array comes next; whether it is the first. What it is decides how it is set off.
+    /// Set if an element of an array comes next, with whether it is the first one. Its kind decides how it is
+    /// separated.
     pending: Option<bool>,
     column: usize,
 }
@@ -39,7 +40,7 @@ macro_rules! numbers {
 }
 
 impl InRows {
-    /// Sets off a number or string of about `length` characters from the one before it.
+    /// Separates a number or string of about `length` characters from the one before it.
     fn in_row<W: ?Sized + Write>(&mut self, writer: &mut W, length: usize) -> io::Result<()> {
         if self.pending.take() == Some(false) {
             if self.column + length + 2 > LINE {
@@ -54,7 +55,7 @@ impl InRows {
         Ok(())
     }
 
-    /// Sets off an array or object.
+    /// Separates an array or object.
     fn on_own_line<W: ?Sized + Write>(&mut self, writer: &mut W) -> io::Result<()> {
         match self.pending.take() {
             Some(first) => self.pretty.begin_array_value(writer, first),

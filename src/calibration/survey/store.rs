@@ -1,9 +1,10 @@
-//! Surveys on disk, one file a drive: what the encoder saw of it, so that nobody has to look again.
+//! Surveys on disk, one file for each drive: what the encoder saw of it, so that it need not look again.
 //!
-//! A file's name is the hash of everything that its content depends on: model, taps, preprocessing, resize kernel, version
-//! of the program, what is kept, and the drive's name. Of files and folders, whose content may change under the same
-//! name, a stamp of names, sizes and times of change stands inside. Energies are kept as the 64-bit floats they are, so a
-//! survey from disk is the fresh one bit for bit. A file appears whole or not at all and carries its checksum.
+//! A file's name is the hash of everything that its content depends on: model, taps, preprocessing, resize kernel,
+//! version of the program, what is kept, and the drive's name. The content of files and folders may change under the
+//! same name, so their surveys also contain a stamp of names, sizes and times of change. Energies are kept as 64-bit
+//! floats, so that a survey from disk is bit for bit the same as a new one. A file appears whole or not at all, and
+//! carries its checksum.
 
 use std::borrow::Cow;
 use std::fs;
@@ -30,9 +31,9 @@ const HEAD: usize = MAGIC.len() + 4 + 32;
 
 /// Where surveys are kept.
 pub struct SurveyStore {
-    /// The first is written to, all are read from.
+    /// The first folder is written to, and all are read from.
     folders: Vec<PathBuf>,
-    /// The first, when it goes with the program.
+    /// The first folder, if it is temporary.
     _temporary: Option<TemporaryFolder>,
     model: ModelFingerprint,
 }
@@ -50,15 +51,15 @@ pub enum SurveyKind {
 
 /// What can be kept of a drive.
 pub trait Content: Serialize + DeserializeOwned {
-    /// Frames in it.
+    /// Number of frames in it.
     fn len(&self) -> usize;
 
-    /// Whether there is none.
+    /// Whether there are no frames.
     fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
-    /// What is wrong with it, of a model and what was to be kept.
+    /// What is wrong with it, for a model and the kind that was to be kept.
     fn fault(&self, model: &ModelFingerprint, kept: SurveyKind) -> Option<String>;
 }
 
@@ -84,10 +85,10 @@ impl From<Keep> for SurveyKind {
 }
 
 impl SurveyStore {
-    /// Surveys of a model in a folder, which is made if it is not there.
+    /// Surveys of a model in a folder, which is created if it does not exist.
     ///
     /// # Errors
-    /// When there can be no such folder.
+    /// When the folder cannot be created.
     pub fn open(folder: &Path, model: &ModelFingerprint) -> Result<Self, StoreError> {
         create_folders(folder).map_err(|error| StoreError::File {
             path: folder.to_owned(),
@@ -100,11 +101,11 @@ impl SurveyStore {
         })
     }
 
-    /// Surveys in a folder that is removed when the program ends, or by the next one when it was killed: in `$TMPDIR`, else in
-    /// `/var/tmp`, which is not memory where `/tmp` is.
+    /// Surveys in a folder that is removed when the program ends, or by the next run if it was killed. It is in
+    /// `$TMPDIR`, else in `/var/tmp`, which is on disk also where `/tmp` is in memory.
     ///
     /// # Errors
-    /// When there can be no such folder.
+    /// When the folder cannot be created.
     pub fn temporary(model: &ModelFingerprint) -> Result<Self, StoreError> {
         let disk = Path::new("/var/tmp");
         let place = match std::env::var_os("TMPDIR") {
@@ -125,14 +126,14 @@ impl SurveyStore {
         })
     }
 
-    /// The same store, which also finds what is in other folders.
+    /// The same store, which also finds surveys in other folders.
     #[must_use]
     pub fn reading(mut self, folders: impl IntoIterator<Item = PathBuf>) -> Self {
         self.folders.extend(folders);
         self
     }
 
-    /// The name of a drive's file, and the key inside.
+    /// The name of a drive's file, which is also the key inside the file.
     fn key(&self, source: &str, kept: SurveyKind) -> String {
         let ModelFingerprint {
             name: _,
@@ -143,15 +144,16 @@ impl SurveyStore {
         } = &self.model;
         let of_model = (sha256, taps, preprocessing, resize);
         let all = (VERSION, env!("CARGO_PKG_VERSION"), of_model, kept, source);
-        // Nothing here can fail to be written into memory.
+        // Writing this into memory cannot fail.
         let bytes = postcard::to_stdvec(&all).unwrap_or_default();
         hex(&Sha256::digest(bytes)[..16])
     }
 
-    /// The survey of a drive, if it is there whole. With a `stamp` only one that was kept with the same.
+    /// The survey of a drive, if there is a complete one. With a `stamp`, only a survey that was kept with the same
+    /// stamp.
     ///
     /// # Errors
-    /// `Damaged` when what is there is no survey of that drive.
+    /// `Damaged` if the file is not a survey of this drive.
     pub fn find<T: Content>(
         &self,
         source: &str,
@@ -187,10 +189,10 @@ impl SurveyStore {
         damaged.map_or(Ok(None), Err)
     }
 
-    /// Keeps a drive's survey; one that is there already is replaced.
+    /// Keeps a drive's survey; it replaces an earlier one.
     ///
     /// # Errors
-    /// When the disk does not take it.
+    /// When it cannot be written.
     pub fn keep<T: Content>(
         &self,
         source: &str,
@@ -257,7 +259,7 @@ impl<T: Content> Stored<T> {
             return Err(damaged(format!("version {version}")));
         }
         if checksum != &Sha256::digest(content)[..] {
-            return Err(damaged("damaged, its checksum is another".to_owned()));
+            return Err(damaged("a damaged file with another checksum".to_owned()));
         }
         let (key, stamp, content): (String, String, T) =
             postcard::from_bytes(content).map_err(|error| damaged(error.to_string()))?;
@@ -321,7 +323,7 @@ impl Content for Survey {
                         && map.width.checked_mul(map.height) == Some(map.energy.len())
                         && !map.energy.is_empty()
                 });
-            let of_maps = (!whole).then(|| "a frame of other taps or sizes".to_owned());
+            let of_maps = (!whole).then(|| "a frame with other taps or sizes".to_owned());
             of_maps.or_else(|| means_fault(&frame.means, model))
         })
     }
@@ -412,7 +414,7 @@ mod tests {
             .unwrap();
         let stored = find(&store, "drive").unwrap().unwrap();
         assert_eq!(SurveyedDrive::frames(&stored), 2);
-        // Their texts have every digit that tells one float from another.
+        // These texts have every digit that distinguishes floats.
         let read = format!("{:?}", stored.survey().unwrap());
         assert_eq!(read, format!("{:?}", survey()));
     }
@@ -460,7 +462,7 @@ mod tests {
             fs::write(&stored.path, &whole[..place]).unwrap();
             assert!(find(&store, "drive").is_err(), "{place}");
         }
-        // Whole, but not what it should be.
+        // Complete files with the wrong content.
         for wrong in [
             Survey {
                 common_size: (9, 9),

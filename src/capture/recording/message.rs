@@ -1,6 +1,7 @@
-//! Messages that hold an image: their schemas, and the picture in one.
+//! Messages that hold an image: their schemas, and how to read the picture.
 //!
-//! Nothing in them is trusted: lengths stay inside the message, and sizes are checked before a picture costs memory.
+//! Nothing in them is trusted: lengths must stay inside the message, and sizes are checked before memory is used for a
+//! picture.
 
 use std::time::Duration;
 
@@ -15,7 +16,7 @@ use crate::capture::pixels::{Layout, PixelFormat, Pixels};
 use crate::capture::{PIXELS_MAX, Picture};
 use crate::files::json_fault::fault;
 
-/// What is understood, for messages to people.
+/// The supported schemas, for error messages.
 pub const UNDERSTOOD: &str = "sensor_msgs/msg/Image or CompressedImage in cdr, foxglove.RawImage or CompressedImage in protobuf or json";
 
 /// A schema with an image, and how its messages are written.
@@ -38,14 +39,14 @@ pub enum Kind {
 /// An image with its own time.
 #[derive(Debug)]
 pub struct Image {
-    /// When it was taken, since the epoch of the recording's clock; zero if the message does not say.
+    /// When it was taken, since the epoch of the recording's clock; zero if the message does not give it.
     pub stamp: Duration,
     /// The picture, or what is wrong with it.
     pub picture: Result<Pixels, String>,
 }
 
 impl Kind {
-    /// Of a channel's schema and message encoding; `None` when it is no image that is understood.
+    /// The kind for a channel's schema and message encoding; `None` if it is not a supported image.
     pub fn of(schema: &str, encoding: &str) -> Option<Self> {
         match (schema, encoding) {
             ("sensor_msgs/msg/Image", "cdr") => Some(Self::RosImage),
@@ -61,7 +62,7 @@ impl Kind {
     /// The image in a message of this kind.
     ///
     /// # Errors
-    /// What is wrong with a message that says neither time nor picture.
+    /// What is wrong with a message from which neither time nor picture can be read.
     pub fn image(self, message: &[u8]) -> Result<Image, String> {
         match self {
             Self::RosImage => {
@@ -121,13 +122,13 @@ struct Stamp {
 
 impl Stamp {
     fn since_epoch(&self) -> Duration {
-        // Before the epoch there is no recording.
+        // No recording is from before the epoch.
         let seconds = u64::try_from(self.sec).unwrap_or_default();
         Duration::from_secs(seconds) + Duration::from_nanos(self.nanosec.into())
     }
 }
 
-/// `std_msgs/msg/Header`. ROS 2 lays messages out field by field in this order.
+/// `std_msgs/msg/Header`. ROS 2 writes messages field by field, in this order.
 #[derive(Deserialize)]
 struct Header {
     stamp: Stamp,
@@ -150,13 +151,13 @@ struct RosImage<'a> {
 #[derive(Deserialize)]
 struct RosCompressedImage<'a> {
     header: Header,
-    /// In many spellings; the data says better what it is.
+    /// This field has many spellings; the data itself shows the format better.
     #[serde(rename = "format")]
     _format: String,
     data: &'a [u8],
 }
 
-/// A message in the OMG's Common Data Representation: four bytes that say how, then the fields.
+/// A message in the OMG's Common Data Representation: four bytes that describe the representation, then the fields.
 fn from_cdr<'a, T: Deserialize<'a>>(message: &'a [u8]) -> Result<T, String> {
     let Some((head, fields)) = message.split_at_checked(4) else {
         return Err(format!("a message of {} bytes", message.len()));
@@ -223,7 +224,7 @@ impl RawImage {
     }
 }
 
-/// `foxglove.CompressedImage`; the format, tag 3, is what the data says.
+/// `foxglove.CompressedImage`; the format, tag 3, is recognised from the data.
 #[derive(Clone, PartialEq, prost::Message)]
 struct CompressedImage {
     #[prost(message, optional, tag = "1")]
@@ -251,13 +252,13 @@ struct CompressedImageJson {
 fn from_base64(text: &str) -> Result<Vec<u8>, String> {
     BASE64
         .decode(text)
-        .map_err(|error| format!("data that is no base64: {error}"))
+        .map_err(|error| format!("data that is not base64: {error}"))
 }
 
 /// Red, green and blue of a pixel's bytes.
 type Colour = fn(&[u8]) -> [u8; 3];
 
-/// The picture in rows of pixels, by the names of encodings that ROS and Foxglove have.
+/// The picture in rows of pixels, with the names of encodings in ROS and Foxglove.
 fn picture(
     encoding: &str,
     width: u32,

@@ -4,14 +4,15 @@ use nalgebra::{DMatrix, SymmetricEigen};
 
 use crate::capture::undefined::Undefined;
 
-/// Images a channel that a distance is taken from, at least: a covariance of fewer is none.
+/// Smallest number of images for each channel: from fewer images, a covariance has no meaning.
 const IMAGES_PER_CHANNEL: usize = 2;
 
 /// `|m1 - m2|^2 + tr(S1 + S2 - 2 (S1 S2)^(1/2))` of the sets' means and covariances; each image is the vector of its
 /// channels' mean activations.
 ///
 /// # Errors
-/// `TooFewImages` when a set has fewer than two images a channel; `NoScore` when the values leave the range of floats.
+/// `TooFewImages` if a set has fewer than two images for each channel; `NoScore` if the values leave the range of
+/// floats.
 ///
 /// Source: Dowson and Landau 1982; Heusel et al. 2017 (FID).
 pub fn distance(a: &[Vec<f64>], b: &[Vec<f64>]) -> Result<f64, Undefined> {
@@ -103,7 +104,7 @@ mod tests {
         let wanted_a = DMatrix::from_row_slice(2, 2, &[4.0, 2.0, 2.0, 2.0]);
         let wanted_b = DMatrix::from_row_slice(2, 2, &[2.0, -4.0, -4.0, 10.0]);
         assert!((cov_a - wanted_a).norm() < 1e-12 && (cov_b - wanted_b).norm() < 1e-12);
-        // Of two by two: tr M^(1/2) = sqrt(tr M + 2 sqrt(det M)); tr S1 S2 = 8 - 8 - 8 + 20, both determinants 4.
+        // For a 2x2 matrix: tr M^(1/2) = sqrt(tr M + 2 sqrt(det M)); tr S1 S2 = 8 - 8 - 8 + 20, both determinants 4.
         let shared = f64::sqrt(12.0 + 2.0 * 4.0);
         let wanted = 6.0 + 12.0 - 2.0 * shared;
         assert!((distance(&a, &b).unwrap() - wanted).abs() < 1e-12);

@@ -4,11 +4,11 @@ use crate::capture::undefined::Undefined;
 
 use super::shares::shares;
 
-/// `H = sqrt(1/2 sum (sqrt p - sqrt q)^2)` of shares `p` and `q`: 0..1. This form, not `sqrt(1 - sum sqrt(p q))`, keeps
-/// its digits for histograms that are nearly alike.
+/// `H = sqrt(1/2 sum (sqrt p - sqrt q)^2)` of shares `p` and `q`: 0 to 1. This form, unlike `sqrt(1 - sum sqrt(p q))`,
+/// does not lose precision for histograms that are almost equal.
 ///
 /// # Errors
-/// `EmptyHistogram` when one has no count.
+/// `EmptyHistogram` if a histogram has no count.
 pub fn distance(a: &[u64], b: &[u64]) -> Result<f64, Undefined> {
     let sum: f64 = shares(a, b)?
         .map(|(p, q)| (p.sqrt() - q.sqrt()).powi(2))

@@ -4,11 +4,11 @@ use crate::capture::undefined::Undefined;
 
 use super::shares::shares;
 
-/// `JS = (KL(p | m) + KL(q | m)) / 2` with `m = (p + q) / 2` and logarithms of base 2: 0..1 bit, not its root, no
-/// smoothing (Lin 1991).
+/// `JS = (KL(p | m) + KL(q | m)) / 2` with `m = (p + q) / 2` and logarithms of base 2: 0 to 1 bit, without the square
+/// root and without smoothing (Lin 1991).
 ///
 /// # Errors
-/// `EmptyHistogram` when one has no count.
+/// `EmptyHistogram` if a histogram has no count.
 pub fn divergence_bits(a: &[u64], b: &[u64]) -> Result<f64, Undefined> {
     let mut bits = 0.0;
     for (p, q) in shares(a, b)? {

@@ -1,7 +1,8 @@
-//! How much of the lanes the lane model is likely to miss: a ridge regression of its loss on a block's log energies.
+//! The share of lanes that the lane model is expected to lose: a ridge regression of its loss on a block's log
+//! energies.
 //!
-//! A domain gap is not yet a failure: the lane model copes with some shifts and not with others. Rendered drives have lane labels,
-//! so what the model loses on them is known, and the energies of its last block predict it.
+//! A domain gap is not always a failure, because the lane model tolerates some changes and not others. Rendered drives
+//! have lane labels, so what the model loses on them is known, and the energies of its last block predict it.
 
 use nalgebra::{Cholesky, DMatrix, DVector};
 use serde::{Deserialize, Serialize};
@@ -9,14 +10,15 @@ use serde::{Deserialize, Serialize};
 use super::moments::{Moments, SPREAD_FLOOR, STEPS_PER_NAT, energy_levels};
 use crate::capture::undefined::Undefined;
 
-/// Deviations from nominal are cut off here, in spreads: far outside, further does not mean worse.
+/// Deviations from nominal are limited to this number of spreads: far outside, a larger deviation does not mean a
+/// larger loss.
 const DEVIATION_MAX: f64 = 30.0;
-/// Weight of the penalty on the weights, for each labelled frame. A tenth of it or four times as much hardly change how well
-/// the loss is predicted under conditions that were not fitted.
+/// Penalty on the weights, for each labelled frame. With a tenth of it or four times as much, the prediction of the
+/// loss under conditions that were not fitted hardly changes.
 const RIDGE: f64 = 0.5;
 
-/// Fits a forecast to one frame with lane labels after the other: nominal frames have no loss and weigh as much together
-/// as the labelled ones.
+/// Fits a forecast to frames with lane labels, one after the other. Nominal frames have no loss, and together they have
+/// the same weight as the labelled frames.
 pub struct LaneRiskFit {
     epsilon: f64,
     mean: Vec<f64>,
@@ -29,7 +31,7 @@ pub struct LaneRiskFit {
 }
 
 impl LaneRiskFit {
-    /// With the nominal frames alone; as many `labelled` ones are to come.
+    /// Begins with only the nominal frames; `labelled` is the number of labelled frames that will follow.
     ///
     /// # Errors
     /// `TooFewImages` without nominal or labelled frames.
@@ -49,7 +51,7 @@ impl LaneRiskFit {
             .map(|i| (covariance[(i, i)] + SPREAD_FLOOR * SPREAD_FLOOR).sqrt())
             .collect();
         let frames = labelled as f64;
-        // The nominal frames' deviations sum to nothing, so they fill the block of the energies alone.
+        // The deviations of the nominal frames have the sum 0, so they fill only the block of the energies.
         let mut matrix = DMatrix::zeros(len + 1, len + 1);
         for row in 0..len {
             for column in 0..len {
@@ -70,8 +72,8 @@ impl LaneRiskFit {
         })
     }
 
-    /// Learns from a frame's energies, `[energies]`, and what the lane model lost there: 1 - IoU / IoU of the same frame in
-    /// plain day, 0 to 1.
+    /// Learns from a frame's energies, `[energies]`, and what the lane model lost there: 1 - IoU / IoU of the same
+    /// frame on a plain day, 0 to 1.
     pub fn add(&mut self, energies: &[f64], loss: f64) {
         energy_levels(energies, self.epsilon, &mut self.levels);
         for (index, &level) in self.levels.iter().enumerate() {
@@ -82,13 +84,13 @@ impl LaneRiskFit {
         self.target.axpy(loss, &self.row, 1.0);
     }
 
-    /// The forecast.
+    /// Returns the forecast.
     ///
     /// # Errors
-    /// `NoScore` when the numbers admit none.
+    /// `NoScore` if the equations cannot be solved.
     pub fn solve(self) -> Result<LaneRisk, Undefined> {
         let len = self.mean.len();
-        // Positive definite: the penalty is above 0, and so is the constant's own entry.
+        // The matrix is positive definite: the penalty is above 0, and so is the entry of the constant.
         let solved = Cholesky::new(self.matrix)
             .ok_or(Undefined::NoScore)?
             .solve(&self.target);
@@ -106,7 +108,7 @@ impl LaneRiskFit {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct LaneRisk {
-    /// Energy that counts as none, squared activation units.
+    /// Energy below which a channel counts as inactive, squared activation units.
     pub epsilon: f64,
     /// `[energies]`, nominal mean of `ln(1 + e / epsilon)`, nats.
     pub mean: Vec<f64>,
@@ -119,8 +121,8 @@ pub struct LaneRisk {
 }
 
 impl LaneRisk {
-    /// Forecast of the loss in a window of `frames` frames, `sums` `[energies]` the sum of their levels. About 0 to 1; a
-    /// little below 0 where the road is easier than the nominal one. Allocates nothing.
+    /// Forecast of the loss in a window of `frames` frames, where `sums` `[energies]` is the sum of their levels. It is
+    /// about 0 to 1, and a little below 0 if the road is easier than the nominal road. Allocates nothing.
     #[allow(clippy::cast_precision_loss)]
     pub fn loss(&self, sums: &[u64], frames: usize) -> f64 {
         let scale = 1.0 / (STEPS_PER_NAT * frames.max(1) as f64);
@@ -164,7 +166,7 @@ mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
 
-    /// Nominal levels of two energies, 10 nats with a spread of 1.
+    /// Nominal levels of two energies: 10 nats with a spread of 1.
     fn nominal() -> Moments {
         let mut moments = Moments::new(2);
         for levels in [[9, 9], [9, 11], [11, 9], [11, 11]] {
@@ -173,7 +175,7 @@ mod tests {
         moments
     }
 
-    /// Fits frames of energies that lie so many nats up, with their losses.
+    /// Fits frames whose energies are raised by a number of nats, with their losses.
     fn fit(frames: &[([f64; 2], f64)]) -> LaneRisk {
         let mut fit = LaneRiskFit::new(1.0, &nominal(), frames.len()).unwrap();
         for (nats, loss) in frames {
@@ -184,7 +186,7 @@ mod tests {
 
     #[test]
     fn a_loss_that_goes_with_one_energy_is_foretold() {
-        // The first energy falls by 1 spread for each tenth of loss; the second says nothing.
+        // The first energy falls by 1 spread for each tenth of loss; the second one does not depend on the loss.
         let frames: Vec<([f64; 2], f64)> = (0..1_000_u32)
             .map(|i| {
                 let tenths = f64::from(i % 11);
@@ -211,7 +213,7 @@ mod tests {
             weights: vec![0.25, -0.5],
             bias: 0.125,
         };
-        // 4 nats above are two spreads, half a nat below is one.
+        // 4 nats above are two spreads, and half a nat below is one spread.
         assert!((risk.loss(&[1024 * 14, 512 * 7], 1) - (0.125 + 0.5 + 0.5)).abs() < 1e-12);
     }
 

@@ -1,31 +1,33 @@
-//! Energies of a tapped block, by channel and by cell of a coarse grid: one vector a frame, its exact moments over many
-//! frames, and how far a window lies from them.
+//! Energies of a tapped block, by channel and by cell of a coarse grid: one vector for each frame, its exact moments
+//! over many frames, and how far a window is from them.
 //!
-//! A block's energy summed over channels says where the encoder looks; averaged over the map, channel by channel, it says
-//! what it finds there. Vectors are integers, so sums of any number of frames are exact in any order.
+//! A block's energy, summed over channels, says where the encoder looks. Averaged over the map for each channel, it
+//! says what the encoder finds there. Vectors are integers, so that sums of any number of frames are exact in any
+//! order.
 
 use nalgebra::{Cholesky, DMatrix};
 use serde::{Deserialize, Serialize};
 
 use crate::capture::undefined::Undefined;
 
-/// Steps a nat of a channel's log energy.
+/// Steps for each nat of a channel's log energy.
 pub const STEPS_PER_NAT: f64 = 1024.0;
-/// Energy of a channel that counts as none, share of the block's median peak energy. Between 2e-6 and 2e-3 nothing of what
-/// is found changes by more than a point in a hundred.
+/// Energy below which a channel counts as inactive, as a share of the block's median peak energy. Between 2e-6 and
+/// 2e-3, no share of conditions found changes by more than one percentage point.
 pub const EPSILON_SHARE: f64 = 2e-5;
-/// Weight of the identity in the shrunk correlation matrix (Ledoit and Wolf 2004 shrink towards the same target). Between
-/// 0.02 and 0.3 the conditions found differ by a few points in a hundred.
+/// Weight of the identity in the shrunk correlation matrix (Ledoit and Wolf 2004 shrink towards the same target).
+/// Between 0.02 and 0.3, the share of conditions found differs by a few percentage points.
 const SHRINKAGE: f64 = 0.1;
-/// Spread added to every channel's own, nats: a channel that is never active in simulation is no proof by itself.
+/// Spread that is added to the spread of every channel, nats, because a channel that is never active in simulation is
+/// not enough evidence alone.
 pub(super) const SPREAD_FLOOR: f64 = 0.05;
-/// Fewest frames that moments are taken from.
+/// Smallest number of frames for moments.
 pub const FRAMES_MIN: u64 = 2;
 
 /// Writes `ln(1 + e / epsilon)` of each channel's mean energy `e`, `[energies]`, in steps of 1 / 1024 nat.
 pub fn energy_levels(energies: &[f64], epsilon: f64, levels: &mut [u32]) {
     for (level, energy) in levels.iter_mut().zip(energies) {
-        // Finite and not negative: at most ln(1 + 1e77 / 1e-45), far below 2^32 steps.
+        // The value is finite and not negative: at most ln(1 + 1e77 / 1e-45), far below 2^32 steps.
         #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)]
         {
             *level = (STEPS_PER_NAT * (energy / epsilon).ln_1p()).round() as u32;
@@ -44,7 +46,7 @@ pub struct Moments {
 }
 
 impl Moments {
-    /// Nothing summed yet.
+    /// Moments with nothing summed yet.
     pub fn new(energies: usize) -> Self {
         Self {
             frames: 0,
@@ -66,7 +68,7 @@ impl Moments {
         moments
     }
 
-    /// Frames summed.
+    /// Number of frames summed.
     pub fn frames(&self) -> u64 {
         self.frames
     }
@@ -88,7 +90,7 @@ impl Moments {
         }
     }
 
-    /// Adds the frames of another set. What has no frames yet takes over the other's number of energies.
+    /// Adds the frames of another set. If there are no frames yet, the number of energies is taken from the other set.
     pub fn merge(&mut self, other: &Self) {
         if self.frames == 0 {
             self.clone_from(other);
@@ -103,7 +105,7 @@ impl Moments {
     }
 
     /// # Errors
-    /// `TooFewImages` when there are too few frames to have a spread.
+    /// `TooFewImages` if there are too few frames for a spread.
     pub(super) fn check_frames(&self) -> Result<(), Undefined> {
         if self.frames >= FRAMES_MIN {
             return Ok(());
@@ -121,7 +123,7 @@ impl Moments {
         self.sums.iter().map(|&sum| sum as f64 / scale).collect()
     }
 
-    /// Covariance, nats squared; differences are taken in integers, so nothing cancels.
+    /// Covariance, nats squared. Differences are calculated with integers, so that there is no cancellation.
     #[allow(clippy::cast_precision_loss)]
     pub(super) fn covariance(&self) -> DMatrix<f64> {
         let len = self.sums.len();
@@ -142,11 +144,11 @@ impl Moments {
     }
 }
 
-/// Nominal energies of one block: what Mahalanobis distances are measured with.
+/// Nominal energies of one block, with which Mahalanobis distances are measured.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct EnergyNorm {
-    /// Energy that counts as none, squared activation units.
+    /// Energy below which a channel counts as inactive, squared activation units.
     pub epsilon: f64,
     /// `[energies]`, mean of `ln(1 + e / epsilon)`, nats.
     pub mean: Vec<f64>,
@@ -155,8 +157,8 @@ pub struct EnergyNorm {
 }
 
 impl EnergyNorm {
-    /// The norm of a set of frames. With `wider`, a larger set of which this one is a part of the kind, the spread is the
-    /// larger set's as far as the own `drives` are few.
+    /// The norm of a set of frames. With `wider`, a larger set of nominal frames, the spread is a mixture of both sets:
+    /// the fewer `drives` this set has, the more the larger set counts.
     ///
     /// # Errors
     /// `TooFewImages` below two frames.
@@ -168,7 +170,7 @@ impl EnergyNorm {
         own.check_frames()?;
         let mut covariance = own.covariance();
         if let Some((wider, drives)) = wider {
-            // As much weight on the own spread as it has drives, against `PRIOR_DRIVES` of the wider set.
+            // The weight of the own spread is its number of drives, and that of the wider set is `PRIOR_DRIVES`.
             #[allow(clippy::cast_precision_loss)]
             let weight = drives as f64 / (drives as f64 + PRIOR_DRIVES);
             covariance = weight * covariance + (1.0 - weight) * wider.covariance();
@@ -181,7 +183,7 @@ impl EnergyNorm {
             let correlation = covariance[(i, j)] / (spreads[i] * spreads[j]);
             (1.0 - SHRINKAGE) * correlation + if i == j { SHRINKAGE } else { 0.0 }
         });
-        // Positive definite: a correlation matrix with a multiple of the identity added.
+        // The matrix is positive definite: it is a correlation matrix plus a multiple of the identity.
         let lower = Cholesky::new(shrunk).ok_or(Undefined::NoScore)?.l();
         let mut whitening = DMatrix::identity(len, len);
         if !lower.solve_lower_triangular_mut(&mut whitening) {
@@ -199,13 +201,13 @@ impl EnergyNorm {
         })
     }
 
-    /// Energies: channels and cells.
+    /// Number of energies: channels and cells.
     pub fn energies(&self) -> usize {
         self.mean.len()
     }
 
-    /// Squared Mahalanobis distance of the mean level vector of `frames` frames, `sums` `[energies]` their sum, divided by
-    /// the number of energies: about 1 for a nominal frame. Allocates nothing.
+    /// Squared Mahalanobis distance of the mean level vector of `frames` frames, where `sums` `[energies]` is their
+    /// sum, divided by the number of energies: about 1 for a nominal frame. Allocates nothing.
     #[allow(clippy::cast_precision_loss)]
     pub fn distance(&self, sums: &[u64], frames: usize) -> f64 {
         let scale = 1.0 / (STEPS_PER_NAT * frames.max(1) as f64);
@@ -234,7 +236,7 @@ impl EnergyNorm {
         for (place, &weight) in places.zip(&self.whitening) {
             whitening[place] = f64::from(weight);
         }
-        // Whitening is the inverse of a Cholesky factor of the covariance.
+        // The whitening matrix is the inverse of a Cholesky factor of the covariance.
         let mut factor = DMatrix::identity(len, len);
         whitening.solve_lower_triangular_mut(&mut factor);
         factor.row_iter().map(|row| row.norm()).collect()
@@ -257,7 +259,7 @@ impl EnergyNorm {
     }
 }
 
-/// Drives of its own after which an accepted domain's spread is half its own and half the simulation's.
+/// Number of drives of an accepted domain at which its spread is half its own and half that of the simulation.
 const PRIOR_DRIVES: f64 = 20.0;
 
 #[cfg(test)]
@@ -278,7 +280,7 @@ mod tests {
         energy_levels(&[0.0, 1.0, 1e6], 1.0, &mut levels);
         // 1024 ln 2 and 1024 ln 1000001.
         assert_eq!(levels, [0, 710, 14_147]);
-        // Twice as many energies count as none: 1024 ln 1.5 and 1024 ln 500001.
+        // With an epsilon twice as large: 1024 ln 1.5 and 1024 ln 500001.
         energy_levels(&[0.0, 1.0, 1e6], 2.0, &mut levels);
         assert_eq!(levels, [0, 415, 13_437]);
     }
@@ -355,7 +357,7 @@ mod tests {
     #[test]
     fn after_twenty_drives_a_spread_is_half_its_own() {
         let spreads_of = |x: u32, y: u32| moments(&[[0, 0], [x, 0], [0, y], [x, y]]);
-        // Variances of 1 and 4, and of 9 and 16: together 5 and 10.
+        // Variances of 1 and 4, and of 9 and 16: mixed in halves, they are 5 and 10.
         let (own, wider) = (spreads_of(2048, 4096), spreads_of(6144, 8192));
         let blended = EnergyNorm::fit(1.0, &own, Some((&wider, 20))).unwrap();
         for (spread, variance) in blended.spreads().into_iter().zip([5.0, 10.0]) {
@@ -363,7 +365,7 @@ mod tests {
             let wanted = (1.0 - SHRINKAGE) * variance + SHRINKAGE * (variance + floor);
             assert!((spread * spread - wanted).abs() < 1e-5, "{spread}");
         }
-        // Where the frames lie is their own alone.
+        // The mean is only that of the own frames.
         assert_eq!(blended.mean, own.mean());
     }
 

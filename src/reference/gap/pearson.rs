@@ -5,8 +5,8 @@ use crate::capture::undefined::Undefined;
 /// `r = sum (a - mean a)(b - mean b) / sqrt(sum (a - mean a)^2 * sum (b - mean b)^2)` over the bins, -1..1.
 ///
 /// # Errors
-/// `EmptyHistogram` when one has no count, `ConstantHistogram` when all bins of one are equal (OpenCV's
-/// `HISTCMP_CORREL`, the same formula otherwise, answers 1 there).
+/// `EmptyHistogram` if a histogram has no count, `ConstantHistogram` if all bins of one are equal. (OpenCV's
+/// `HISTCMP_CORREL` has the same formula, but returns 1 in this case.)
 pub fn correlation(a: &[u64], b: &[u64]) -> Result<f64, Undefined> {
     let (da, db) = (deviations(a)?, deviations(b)?);
     let (mut ab, mut aa, mut bb) = (0.0, 0.0, 0.0);
@@ -18,7 +18,7 @@ pub fn correlation(a: &[u64], b: &[u64]) -> Result<f64, Undefined> {
     Ok((ab / (aa * bb).sqrt()).clamp(-1.0, 1.0))
 }
 
-/// A histogram as shares of its total, around their mean: totals of any size correlate without overflow.
+/// A histogram as shares of its total, minus their mean, so that totals of any size correlate without overflow.
 struct Deviations {
     total: f64,
     mean: f64,

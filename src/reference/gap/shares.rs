@@ -2,10 +2,10 @@
 
 use crate::capture::undefined::Undefined;
 
-/// Bin by bin, the shares of their totals that two histograms have.
+/// For each bin, the shares of two histograms in their totals.
 ///
 /// # Errors
-/// `EmptyHistogram` when one has no count.
+/// `EmptyHistogram` if a histogram has no count.
 #[allow(clippy::cast_precision_loss)]
 pub fn shares<'a>(
     a: &'a [u64],

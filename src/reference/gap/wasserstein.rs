@@ -4,11 +4,11 @@ use crate::capture::undefined::Undefined;
 
 use super::shares::shares;
 
-/// `W1 = sum |P - Q| / (bins - 1)` of cumulated shares `P` and `Q`: the mean way that a pixel is moved, as a share of the
-/// way from the first bin to the last, 0..1. Bins are taken as evenly spaced, whatever their edges.
+/// `W1 = sum |P - Q| / (bins - 1)` of cumulated shares `P` and `Q`: the mean distance by which a pixel is moved, as a
+/// share of the distance from the first bin to the last, 0 to 1. Bins count as evenly spaced, whatever their edges are.
 ///
 /// # Errors
-/// `EmptyHistogram` when one has no count.
+/// `EmptyHistogram` if a histogram has no count.
 #[allow(clippy::cast_precision_loss)]
 pub fn distance(a: &[u64], b: &[u64]) -> Result<f64, Undefined> {
     let mut ahead = 0.0;
