@@ -38,3 +38,32 @@ impl Render for Number {
         shown.render_to(out);
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn text_of_others_has_no_markup_no_control_character_and_a_direction_of_its_own() {
+        let hostile = "<b a='1'>\"&amp;\u{202e}\0\n\u{85}";
+        let harmless = "&lt;b a='1'&gt;&quot;&amp;amp;\u{202e}\u{fffd}\u{fffd}\u{fffd}";
+        let in_attribute = html! { i title=(Plain(hostile)) {} };
+        assert_eq!(
+            in_attribute.into_string(),
+            format!("<i title=\"{harmless}\"></i>")
+        );
+        assert_eq!(
+            Text(hostile).render().into_string(),
+            format!("<bdi>{harmless}</bdi>")
+        );
+    }
+
+    #[test]
+    fn a_number_that_rounds_to_nothing_has_no_minus_sign() {
+        let shown = |number| Number(number, 2).render().into_string();
+        assert_eq!(shown(Some(-0.001)), "0.00");
+        assert_eq!(shown(Some(-0.25)), "-0.25");
+        assert_eq!(shown(Some(10.0)), "10.00");
+        assert_eq!(shown(None), "–");
+    }
+}
