@@ -4,9 +4,23 @@
 //! content policy forbids everything else. What came from the journal is text there, never markup.
 
 mod content;
+
+mod states;
 mod text;
 
+// In the order of the page.
+mod summary;
+
+mod data;
+mod timeline;
+
+mod alarms;
+mod behind;
 mod chart;
+
+mod judged;
+
+mod calibration;
 
 mod page;
 

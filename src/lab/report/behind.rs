@@ -1,0 +1,138 @@
+//! What is behind an alarm: a closer look, the taps at its beginning and worst, and the lines around its beginning.
+
+use base64::display::Base64Display;
+use base64::engine::general_purpose::STANDARD;
+use maud::{Markup, html};
+
+use super::chart;
+use super::content::{Alarm, Report, Shown, ShownEvent};
+use super::states::badge;
+use super::text::{Number, Plain, Text};
+use crate::record::journal::Entry;
+
+/// Lines shown of an alarm: around its beginning.
+const SHOWN_BEFORE: usize = 3;
+const SHOWN_AFTER: usize = 6;
+
+/// All that is known of an alarm, with what is kept of it.
+pub fn behind(report: &Report, alarm: &Alarm, shown: Option<&ShownEvent>) -> Markup {
+    let (first, _, next) = alarm.lines;
+    let from = first.saturating_sub(SHOWN_BEFORE);
+    let to = (first + SHOWN_AFTER)
+        .min(next + 1)
+        .min(report.entries.len());
+    html! {
+        div.closer data-from=(alarm.from_s) data-to=(alarm.to_s) {}
+        @if let Some(shown) = shown { (evidence(shown)) }
+        h3 { "By tap" }
+        (taps(report, alarm))
+        @if !alarm.health.is_empty() {
+            h3 { "Not judged inside" }
+            ul {
+                @for (why, count) in &alarm.health { li { (Text(why)) ": " (count) } }
+            }
+        }
+        h3 { "Lines around its beginning" }
+        (lines(&report.entries[from..to]))
+    }
+}
+
+fn evidence(ShownEvent { pictures, profiles }: &ShownEvent) -> Markup {
+    let (seen, heat): (Vec<&Shown>, Vec<&Shown>) =
+        pictures.iter().partition(|shown| shown.tap.is_none());
+    html! {
+        @if !seen.is_empty() {
+            h3 { "What the camera saw" }
+            (list("Frame", &seen))
+        }
+        @if !heat.is_empty() {
+            h3 { "Where the encoder looked, brighter is more" }
+            (list("Energies over the frame", &heat))
+        }
+        @if !profiles.is_empty() {
+            h3 { "What it found there, against the reference" }
+            div.profiles {
+                @for profile in profiles { (chart::profile(profile)) }
+            }
+        }
+    }
+}
+
+fn list(what: &str, pictures: &[&Shown]) -> Markup {
+    html! {
+        ul.evidence {
+            @for Shown { jpeg, caption, tap } in pictures {
+                @let caption = match tap {
+                    Some(tap) => format!("{caption}, {tap}"),
+                    None => caption.clone(),
+                };
+                li {
+                    img alt={ (what) ", " (Plain(&caption)) }
+                        src={ "data:image/jpeg;base64," (Base64Display::new(jpeg, &STANDARD)) };
+                    span { (Text(&caption)) }
+                }
+            }
+        }
+    }
+}
+
+fn taps(report: &Report, alarm: &Alarm) -> Markup {
+    let (first, worst, _) = alarm.lines;
+    let gap = |line: Option<&Entry>, tap: &str| {
+        let gap = line.and_then(|line| line.gap.get(tap).copied().flatten());
+        Number(gap, 4)
+    };
+    let before = first.checked_sub(1).map(|line| &report.entries[line]);
+    let (first, worst) = (&report.entries[first], &report.entries[worst]);
+    html! {
+        table {
+            thead {
+                tr {
+                    th scope="col" { "Tap" }
+                    th.n scope="col" { "Gap before" }
+                    th.n scope="col" { "at the start" }
+                    th.n scope="col" { "at the largest score" }
+                    th.n scope="col" { "Similarity there" }
+                }
+            }
+            tbody {
+                @for tap in &report.taps {
+                    tr {
+                        th scope="row" { (Text(tap)) }
+                        td.n { (gap(before, tap)) }
+                        td.n { (gap(Some(first), tap)) }
+                        td.n { (gap(Some(worst), tap)) }
+                        td.n { (Number(worst.similarity.get(tap).copied().flatten(), 4)) }
+                    }
+                }
+            }
+        }
+    }
+}
+
+fn lines(entries: &[Entry]) -> Markup {
+    html! {
+        table.lines {
+            thead {
+                tr {
+                    th.n scope="col" { "Time" }
+                    th.n scope="col" { "Frame" }
+                    th scope="col" { "State" }
+                    th.n scope="col" { "Score" }
+                    th scope="col" { "Health" }
+                }
+            }
+            tbody {
+                @for entry in entries {
+                    tr {
+                        td.n { (format_args!("{:.2} s", entry.t_s)) }
+                        td.n { @if let Some(number) = entry.sequence { (number) } @else { "–" } }
+                        td { (badge(entry.state)) }
+                        td.n { (Number(entry.score, 2)) }
+                        td { (Text(&entry.health)) }
+                    }
+                }
+            }
+        }
+    }
+}

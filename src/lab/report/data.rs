@@ -1,0 +1,103 @@
+//! The numbers that the script draws.
+
+use serde::Serialize;
+
+use super::alarms::ALARMS_MAX;
+use super::content::Report;
+use super::states::{self, STATES};
+use crate::record::journal::Entry;
+
+/// Most lines that are drawn; of longer journals, per stretch the lines with the smallest and the largest score and all
+/// changes of state.
+const DRAWN_MAX: usize = 20_000;
+
+/// What the script draws.
+#[derive(Serialize)]
+pub struct Data<'a> {
+    t: Vec<f64>,
+    state: Vec<usize>,
+    states: [&'static str; 6],
+    score: Vec<Option<f64>>,
+    latency: Vec<f64>,
+    /// Place of the reason in `healths`; 0 is `ok`.
+    health: Vec<usize>,
+    healths: Vec<&'a str>,
+    taps: Vec<Tap<'a>>,
+    alarms: Vec<(f64, f64, &'static str)>,
+}
+
+#[derive(Serialize)]
+struct Tap<'a> {
+    name: &'a str,
+    gap: Vec<Option<f64>>,
+}
+
+/// The lines to draw, by place.
+pub fn drawn(entries: &[Entry]) -> Vec<usize> {
+    if entries.len() <= DRAWN_MAX {
+        return (0..entries.len()).collect();
+    }
+    let stretch = entries.len().div_ceil(DRAWN_MAX / 4);
+    let mut places = Vec::new();
+    for from in (0..entries.len()).step_by(stretch) {
+        let to = (from + stretch).min(entries.len());
+        let by_score = |&a: &usize, &b: &usize| {
+            let score = |i: usize| entries[i].score.unwrap_or(f64::NEG_INFINITY);
+            score(a).total_cmp(&score(b))
+        };
+        places.extend((from..to).min_by(by_score));
+        places.extend((from..to).max_by(by_score));
+        places.extend((from.max(1)..to).filter(|&i| entries[i].state != entries[i - 1].state));
+    }
+    places.push(entries.len() - 1);
+    places.sort_unstable();
+    places.dedup();
+    places
+}
+
+/// The numbers of a report.
+pub fn data(report: &Report) -> Data<'_> {
+    let lines: Vec<&Entry> = drawn(&report.entries)
+        .into_iter()
+        .map(|place| &report.entries[place])
+        .collect();
+    let mut healths = vec!["ok"];
+    let health = lines
+        .iter()
+        .map(|entry| {
+            healths
+                .iter()
+                .position(|h| *h == entry.health)
+                .unwrap_or_else(|| {
+                    healths.push(&entry.health);
+                    healths.len() - 1
+                })
+        })
+        .collect();
+    Data {
+        t: lines.iter().map(|e| e.t_s).collect(),
+        state: lines.iter().map(|e| states::place(e.state)).collect(),
+        states: STATES.map(|(state, _)| state.name()),
+        score: lines.iter().map(|e| e.score).collect(),
+        latency: lines.iter().map(|e| e.latency_ms).collect(),
+        health,
+        healths,
+        taps: report
+            .taps
+            .iter()
+            .map(|name| Tap {
+                name,
+                gap: lines
+                    .iter()
+                    .map(|e| e.gap.get(name).copied().flatten())
+                    .collect(),
+            })
+            .collect(),
+        alarms: report
+            .alarms()
+            .iter()
+            .take(ALARMS_MAX)
+            .map(|a| (a.from_s, a.to_s, a.state.name()))
+            .collect(),
+    }
+}
