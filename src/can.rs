@@ -6,6 +6,24 @@
 //! generated), their E2E protection, their timing, and the log that replaces a bus on a desk. It does not judge: it
 //! sends what it is given, and a value that is not known is sent as not available, and never as a good value. It has no
 //! clock: time is an argument, measured from the start of the drive. Only `bus` opens a socket.
+//!
+//! ```
+//! use std::time::Duration;
+//!
+//! use gapwatch::can::message::GapStatus;
+//! use gapwatch::monitor::alarm::{AlarmState, Reason};
+//!
+//! let status = GapStatus {
+//!     state: AlarmState::Gap,
+//!     reason: Reason::Score,
+//!     gap_stored: true,
+//!     score: Some(1.44),
+//!     block_scores: [Some(0.9), Some(1.44), None],
+//!     fault_detection_counter: 127,
+//!     frame_age: Some(Duration::from_millis(100)),
+//! };
+//! assert_eq!(GapStatus::from_bytes(&status.to_bytes()), Ok(status));
+//! ```
 
 mod frame;
 

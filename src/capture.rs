@@ -2,6 +2,19 @@
 //!
 //! It opens sources by name and reads pictures. A picture that cannot be read does not end a source: it becomes a frame
 //! with an error, so that the monitor can report what it did not see.
+//!
+//! ```
+//! # fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! let mut source = gapwatch::capture::open("random:seed=1&frames=2")?;
+//! while let Some(frame) = source.next_frame()? {
+//!     match &frame.picture {
+//!         Ok(pixels) => println!("{}: {:?}", frame.sequence, pixels.layout()),
+//!         Err(why) => println!("{}: no picture, {why}", frame.sequence),
+//!     }
+//! }
+//! # Ok(())
+//! # }
+//! ```
 
 pub mod clock;
 pub mod undefined;

@@ -1,4 +1,14 @@
 //! What is nominal: the metrics of a gap, and the reference file with nominal values and thresholds.
+//!
+//! ```
+//! # fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! // `None` is the reference inside the program, which knows only rendered roads.
+//! let reference = gapwatch::reference::Reference::read(None)?;
+//! assert!(reference.strict);
+//! println!("{}", reference.false_alarms.said());
+//! # Ok(())
+//! # }
+//! ```
 
 pub mod gap;
 
