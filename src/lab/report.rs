@@ -6,6 +6,7 @@
 mod content;
 
 mod states;
+mod table;
 mod text;
 
 // In the order of the page.

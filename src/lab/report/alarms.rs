@@ -5,6 +5,8 @@ use maud::{Markup, html};
 use super::behind::behind;
 use super::content::{Alarm, Report};
 use super::states::badge;
+use super::table::Column::{Numbers, Words};
+use super::table::head;
 use super::text::{Number, Text};
 
 /// Most alarms in the table.
@@ -33,17 +35,10 @@ fn table(report: &Report) -> Markup {
     let alarms = report.alarms().iter().take(ALARMS_MAX);
     html! {
         table #alarms {
-            thead {
-                tr {
-                    th scope="col" { "State" }
-                    th.n scope="col" { "From" }
-                    th.n scope="col" { "To" }
-                    th.n scope="col" { "Lasted" }
-                    th.n scope="col" { "Largest score" }
-                    th scope="col" { "Tap that led" }
-                    th scope="col" { "Reason" }
-                }
-            }
+            (head(&[
+                Words("State"), Numbers("From"), Numbers("To"), Numbers("Lasted"), Numbers("Largest score"),
+                Words("Tap that led"), Words("Reason"),
+            ]))
             tbody {
                 @for (place, alarm) in alarms.enumerate() {
                     @let number = place + 1;

@@ -7,6 +7,8 @@ use maud::{Markup, html};
 use super::chart;
 use super::content::{Alarm, Report, Shown, ShownEvent};
 use super::states::badge;
+use super::table::Column::{Numbers, Words};
+use super::table::head;
 use super::text::{Number, Plain, Text};
 use crate::record::journal::Entry;
 
@@ -86,15 +88,10 @@ fn taps(report: &Report, alarm: &Alarm) -> Markup {
     let (first, worst) = (&report.entries[first], &report.entries[worst]);
     html! {
         table {
-            thead {
-                tr {
-                    th scope="col" { "Tap" }
-                    th.n scope="col" { "Gap before" }
-                    th.n scope="col" { "at the start" }
-                    th.n scope="col" { "at the largest score" }
-                    th.n scope="col" { "Similarity there" }
-                }
-            }
+            (head(&[
+                Words("Tap"), Numbers("Gap before"), Numbers("at the start"), Numbers("at the largest score"),
+                Numbers("Similarity there"),
+            ]))
             tbody {
                 @for tap in &report.taps {
                     tr {
@@ -113,15 +110,7 @@ fn taps(report: &Report, alarm: &Alarm) -> Markup {
 fn lines(entries: &[Entry]) -> Markup {
     html! {
         table.lines {
-            thead {
-                tr {
-                    th.n scope="col" { "Time" }
-                    th.n scope="col" { "Frame" }
-                    th scope="col" { "State" }
-                    th.n scope="col" { "Score" }
-                    th scope="col" { "Health" }
-                }
-            }
+            (head(&[Numbers("Time"), Numbers("Frame"), Words("State"), Numbers("Score"), Words("Health")]))
             tbody {
                 @for entry in entries {
                     tr {

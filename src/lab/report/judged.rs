@@ -4,6 +4,8 @@ use maud::{Markup, html};
 
 use super::content::Report;
 use super::states::{STATES, badge};
+use super::table::Column::{Numbers, Words};
+use super::table::head;
 use super::text::Text;
 use crate::monitor::alarm::AlarmState;
 
@@ -29,11 +31,7 @@ pub fn judged(report: &Report) -> Markup {
             @if let Some(latencies) = report.latency_ms([0.5, 0.9, 0.99, 1.0]) {
                 h3 { "From frame to verdict" }
                 table #latencies {
-                    thead {
-                        tr {
-                            @for name in ["Median", "90 %", "99 %", "Longest"] { th.n scope="col" { (name) } }
-                        }
-                    }
+                    (head(&[Numbers("Median"), Numbers("90 %"), Numbers("99 %"), Numbers("Longest")]))
                     tbody {
                         tr {
                             @for latency in latencies { td.n { (format_args!("{latency:.1} ms")) } }
@@ -60,14 +58,7 @@ fn shares(report: &Report) -> Markup {
             }
         }
         table #shares {
-            thead {
-                tr {
-                    th scope="col" { "State" }
-                    th.n scope="col" { "Time" }
-                    th.n scope="col" { "Share" }
-                    th scope="col" { "Means" }
-                }
-            }
+            (head(&[Words("State"), Numbers("Time"), Numbers("Share"), Words("Means")]))
             tbody {
                 @for (state, seconds) in spent {
                     tr {
