@@ -15,7 +15,7 @@
 //!
 //! let status = GapStatus {
 //!     state: AlarmState::Gap,
-//!     reason: Reason::Score,
+//!     reason: Reason::Abrupt,
 //!     gap_stored: true,
 //!     score: Some(1.44),
 //!     block_scores: [Some(0.9), Some(1.44), None],
