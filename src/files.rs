@@ -1,4 +1,4 @@
-//! Files that are whole, or as long as what was written: everything that the program leaves on a disk goes through here.
+//! Files that appear whole, or grow line by line: everything that the program writes to a disk goes through here.
 
 pub mod durable;
 pub mod live_file;

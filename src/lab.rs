@@ -1,4 +1,4 @@
-//! What a desk needs and a car does not: rendered drives, studies, comparison, and pages to look at.
+//! What is used on a desk and not in a car: rendered drives, studies, comparison, and reports.
 
 pub mod scene;
 
@@ -11,7 +11,7 @@ pub mod evaluation;
 pub mod profile_chart;
 pub mod report;
 
-/// Makes the sources of the lab known: from now on [`capture::open`](crate::capture::open) opens `scene:…`.
+/// Registers the sources of the lab, so that [`capture::open`](crate::capture::open) opens `scene:…`.
 pub fn register() {
     crate::capture::register_scenes(scene::open);
 }

@@ -1,7 +1,7 @@
 //! Feature maps → energy maps: where the encoder looks.
 //!
-//! Everything from here on is 64-bit: activations are 32-bit floats, so their squares and sums can neither overflow nor
-//! vanish, and no comparison downstream has to know the scale of a model.
+//! Everything from here on has 64 bits. Activations are 32-bit floats, so their squares and sums can neither overflow
+//! nor underflow, and no later comparison has to know the scale of a model.
 
 use serde::{Deserialize, Serialize};
 
@@ -12,7 +12,7 @@ use crate::model::vectors::Vectors;
 /// Energy of one block, `[height, width]`, row by row; finite, never negative, and not everywhere the same.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct EnergyMap {
-    /// Cells a row.
+    /// Cells in a row.
     pub width: usize,
     /// Rows.
     pub height: usize,
@@ -37,7 +37,7 @@ impl EnergyMap {
 /// - `map`: `[h, w]`, written in place; allocates only when its size changes
 ///
 /// # Errors
-/// `NotFinite` at the first NaN or infinity, `ConstantMap` when every cell has the same energy.
+/// `NotFinite` at the first NaN or infinity, `ConstantMap` if every cell has the same energy.
 ///
 /// Source: Zagoruyko and Komodakis 2017 (sum of squares over channels); G2sum in Hou et al. 2019.
 pub fn energy_from_features(
@@ -102,7 +102,7 @@ struct Tap {
 }
 
 impl Upsampler {
-    /// From maps of `from` (width, height) to maps of `to`.
+    /// An upsampler from maps of size `from` (width, height) to maps of size `to`.
     pub fn new(from: (usize, usize), to: (usize, usize)) -> Self {
         Self {
             columns: taps(from.0, to.0),

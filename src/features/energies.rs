@@ -14,8 +14,8 @@ use crate::model::encoder::{Encoder, EncoderError, EncoderSession, FeatureMap};
 use crate::model::preprocess::{Preprocessing, Preprocessor};
 use crate::model::vectors::{Vectors, turned};
 
-/// Hears the name of each stage of the chain when a frame has passed it: `health`, `preprocess`, `quality`, `encoder`,
-/// `energy`, `histogram`, `detector`.
+/// Called with the name of each stage of the chain when a frame has passed it: `health`, `preprocess`, `quality`,
+/// `encoder`, `energy`, `histogram`, `detector`.
 pub type StageDone<'a> = dyn FnMut(&'static str) + 'a;
 
 /// Picture → encoder input → feature maps → energy maps, for one thread. Keeps its buffers.
@@ -31,25 +31,24 @@ pub struct EnergyStage {
     lane: Option<LaneMask>,
 }
 
-/// Rows, and columns, of the coarse grid of cells over a block's map.
+/// Number of rows, and of columns, of the coarse grid of cells over a block's map.
 pub const GRID: usize = 4;
-/// Cells of the grid.
+/// Number of cells of the grid.
 pub const CELLS: usize = GRID * GRID;
 
-/// What one block finds in a picture, channel by channel over the whole map, and how much of it where, cell by cell over
-/// all channels.
+/// What one block finds in a picture: for each channel over the whole map, and for each cell over all channels.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct BlockMeans {
     /// `[channels]`, mean activation.
     pub activation: Vec<f64>,
     /// `[channels + CELLS]`: mean squared activation of each channel; then, row by row of the grid, the power mean with
-    /// exponent 1/4 of the channels' mean squared activations in each cell. The small exponent gives weak channels a say:
-    /// with a plain mean, or without cells, most dirt on the lens is missed.
+    /// exponent 1/4 of the channels' mean squared activations in each cell. Because of the small exponent, weak
+    /// channels have an influence. With a plain mean, or without cells, most dirt on the lens is missed.
     pub energy: Vec<f64>,
 }
 
 impl EnergyStage {
-    /// For one encoder and the way it is fed.
+    /// A stage for one encoder and its preprocessing.
     ///
     /// # Errors
     /// When the encoder's state cannot be set up.
@@ -72,15 +71,15 @@ impl EnergyStage {
         self.common
     }
 
-    /// Energy maps of a picture, one a tap, each of its block's own size.
+    /// Energy maps of a picture, one for each tap, each at the size of its block.
     ///
     /// # Errors
-    /// Why it cannot be judged.
+    /// Why the picture cannot be judged.
     pub fn energies_of(&mut self, pixels: &Pixels) -> Result<&[EnergyMap], Undefined> {
         self.energies_step_by_step(pixels, &mut |_| {})
     }
 
-    /// As [`energies_of`](Self::energies_of); `done` hears the name of each stage that is passed.
+    /// Like [`energies_of`](Self::energies_of); `done` is called with the name of each completed stage.
     ///
     /// # Errors
     /// Why the picture cannot be judged.
@@ -107,7 +106,7 @@ impl EnergyStage {
         Ok(&self.maps)
     }
 
-    /// Means of the last picture that was judged, one entry a tap.
+    /// Means of the last picture that was judged, one entry for each tap.
     pub fn means(&self) -> &[BlockMeans] {
         &self.means
     }
@@ -117,24 +116,25 @@ impl EnergyStage {
         &self.maps
     }
 
-    /// How good the last picture was that showed anything.
+    /// How good the last picture was in which something could be seen.
     pub fn quality(&self) -> ImageQuality {
         self.quality
     }
 
-    /// What the encoder saw of the last picture.
+    /// The last picture as the encoder saw it.
     pub fn seen(&self) -> Picture {
         self.preprocessor.seen()
     }
 
-    /// The lane head's answer to the last picture that was judged; `None` of an encoder loaded without it.
+    /// The lane head's output for the last picture that was judged; `None` if the encoder was loaded without a lane
+    /// head.
     pub fn lane(&self) -> Option<&LaneMask> {
         self.lane.as_ref()
     }
 }
 
 impl BlockMeans {
-    /// Takes over a block's feature map; allocates only when the number of channels changes.
+    /// Calculates the means of a block's feature map; allocates only if the number of channels changes.
     pub fn take(&mut self, features: &FeatureMap<'_>) {
         Vectors::fastest().vectorised(
             #[inline(always)]
@@ -168,7 +168,7 @@ impl BlockMeans {
         }
     }
 
-    /// Notes one channel, and adds its share to the cells.
+    /// Stores one channel, and adds its share to the cells.
     #[inline(always)]
     fn set(&mut self, channel: usize, sums: &[CellSums; GRID], cells: &Cells) {
         let pixels = reciprocal(cells.height * cells.width);
@@ -183,16 +183,17 @@ impl BlockMeans {
     }
 }
 
-/// The coarse grid over maps of one size: column x of a map is in column `x GRID / width` of the grid; rows alike.
+/// The coarse grid over maps of one size: column x of a map is in column `x GRID / width` of the grid, and the same for
+/// rows.
 struct Cells {
     height: usize,
     width: usize,
     columns: [Range<usize>; GRID],
-    /// Row by row, one over the number of pixels.
+    /// Reciprocals of the numbers of pixels, row by row.
     reciprocals: [f64; CELLS],
 }
 
-/// Values, and their squares, in the cells of one row of the grid.
+/// Sums of values, and of their squares, in the cells of one row of the grid.
 #[derive(Clone, Copy, Default)]
 struct CellSums {
     values: [f64; GRID],
@@ -224,7 +225,8 @@ impl Cells {
         }
     }
 
-    /// Sums of some channels' maps, added up side by side: each sum must wait for the value before.
+    /// Sums of the maps of some channels. Channels are added up side by side, because each sum must wait for its
+    /// previous addition.
     #[inline(always)]
     fn sums<const N: usize>(&self, maps: [&[f32]; N]) -> [[CellSums; GRID]; N] {
         let mut sums = [[CellSums::default(); GRID]; N];
@@ -275,7 +277,7 @@ fn edge(cell: usize, length: usize) -> usize {
     (cell * length).div_ceil(GRID)
 }
 
-/// `1 / count`; 0 of nothing.
+/// `1 / count`; 0 if `count` is 0.
 fn reciprocal(count: usize) -> f64 {
     // Sizes of feature maps are far below 2^52.
     #[allow(clippy::cast_precision_loss)]
@@ -295,7 +297,8 @@ mod tests {
 
     #[test]
     fn channels_and_cells_by_hand() {
-        // Two channels of 4x8: one is 2 everywhere, the other 16 in the last cell alone (columns 6 and 7 of row 3).
+        // Two channels of 4x8: one is 2 everywhere, and the other is 16 only in the last cell (columns 6 and 7 of row
+        // 3).
         let mut maps = vec![2.0; 32];
         maps.extend([0.0; 30]);
         maps.extend([16.0; 2]);

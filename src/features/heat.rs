@@ -5,7 +5,8 @@ use crate::features::attention::{EnergyMap, Upsampler};
 use crate::features::energies::{CELLS, GRID};
 use crate::features::lane::LaneMask;
 
-/// Stations of the colour map, sRGB: black, violet, red, orange, pale yellow, evenly apart; lightness only ever grows.
+/// Points of the colour map, sRGB: black, violet, red, orange, pale yellow, at equal distances; lightness always
+/// increases.
 const STATIONS: [[f32; 3]; 5] = [
     [0.0, 0.0, 10.0],
     [90.0, 20.0, 120.0],
@@ -14,15 +15,16 @@ const STATIONS: [[f32; 3]; 5] = [
     [255.0, 250.0, 190.0],
 ];
 
-/// Deviation from which on a region is shown brightest, nominal spreads.
+/// Deviation from which on a region has the brightest colour, nominal spreads.
 const DEVIATION_SHOWN: f64 = 8.0;
 
-/// Colour of lane in overlays: a blue-green that no road has and that all kinds of colour blindness tell from red.
+/// Colour of lanes in overlays: a blue-green that no road has, and that can be distinguished from red with all kinds of
+/// colour blindness.
 const LANE_COLOUR: [f32; 3] = [0.0, 220.0, 210.0];
 
 /// The colour of a share of the peak, `share` from 0 to 1.
 pub fn colour(share: f32) -> [f32; 3] {
-    // Inside 0..=4: five stations.
+    // It is within 0..=4, because there are five points.
     #[allow(
         clippy::cast_possible_truncation,
         clippy::cast_sign_loss,
@@ -63,8 +65,8 @@ pub fn with_energy(picture: &Picture, energy: &EnergyMap) -> Picture {
     shown
 }
 
-/// How far each region is from nominal over the darkened picture: brighter is farther, by the amount of its deviation, and
-/// `DEVIATION_SHOWN` nominal spreads or more are brightest. `deviations` row by row of the coarse grid.
+/// How far each region is from nominal, over the darkened picture: a larger deviation is brighter, and
+/// `DEVIATION_SHOWN` nominal spreads or more are brightest. `deviations` are row by row of the coarse grid.
 pub fn with_regions(picture: &Picture, deviations: &[f64; CELLS]) -> Picture {
     let mut shown = picture.clone();
     let (width, height) = (picture.width as usize, picture.height as usize);
@@ -85,7 +87,7 @@ pub fn with_regions(picture: &Picture, deviations: &[f64; CELLS]) -> Picture {
     shown
 }
 
-/// Panels side by side, `columns` a row, each enlarged `scale` times; all of the size of the first.
+/// Panels side by side, `columns` in each row, each enlarged `scale` times; all have the size of the first.
 pub fn sheet(panels: &[Picture], columns: usize, scale: usize) -> Picture {
     let Some(first) = panels.first() else {
         return Picture {
@@ -112,7 +114,7 @@ pub fn sheet(panels: &[Picture], columns: usize, scale: usize) -> Picture {
             }
         }
     }
-    // Both come from sides of pictures that fit into 32 bits.
+    // Both are calculated from sizes of pictures that fit into 32 bits.
     #[allow(clippy::cast_possible_truncation)]
     Picture {
         width: wide as u32,

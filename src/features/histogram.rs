@@ -5,22 +5,23 @@ use serde::{Deserialize, Serialize};
 use crate::capture::undefined::Undefined;
 use crate::features::attention::EnergyMap;
 
-/// How the pixels of an energy map are counted. Fixed by a reference; the same for every image compared with it.
+/// How the pixels of an energy map are counted. It is fixed by a reference, and the same for every image that is
+/// compared with it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", tag = "kind", deny_unknown_fields)]
 pub enum Binning {
-    /// Spatial softmax of the energy, scaled so that the image's least and greatest attention are 0 and 1.
+    /// Spatial softmax of the energy, scaled so that the smallest and largest attention of the image are 0 and 1.
     Attention {
         /// Softmax temperature, energy units.
         temperature: f64,
-        /// Levels that the scaled attention is cut into: `bin = floor((levels - 1) a)`.
+        /// Number of levels into which the scaled attention is divided: `bin = floor((levels - 1) a)`.
         levels: usize,
-        /// The first level that is counted; those below are sliced away.
+        /// The first level that is counted; lower levels are left out.
         first: usize,
     },
     /// `ln(energy + epsilon)`.
     LogEnergy {
-        /// Added before the logarithm, energy units.
+        /// Value that is added before the logarithm, energy units.
         epsilon: f64,
         /// Rising inner edges; bin `i` holds `edges[i-1] <= ln(g + epsilon) < edges[i]`, the outer bins are open.
         edges: Vec<f64>,
@@ -39,7 +40,7 @@ impl Binning {
     /// Adds the pixels of one energy map to `counts`, `[bins]`. Allocates nothing.
     ///
     /// # Errors
-    /// `ConstantMap` when the map says nothing; `counts` is then unchanged.
+    /// `ConstantMap` if the map is constant; `counts` is then unchanged.
     pub fn count(&self, map: &EnergyMap, counts: &mut [u32]) -> Result<(), Undefined> {
         let (low, high) = map.range();
         if low >= high || !(high - low).is_finite() {
@@ -105,17 +106,17 @@ fn level_of_bin(first: usize, levels: usize) -> f64 {
     first as f64 / (levels - 1) as f64
 }
 
-/// Softmax attention scaled to 0..1 over one image: `(a - min a) / (max a - min a)`, in which the softmax's own
-/// denominator cancels. No overflow for any energy and temperature.
+/// Softmax attention scaled to 0..1 over one image: `(a - min a) / (max a - min a)`, in which the denominator of the
+/// softmax cancels. There is no overflow for any energy and temperature.
 struct ScaledAttention {
     low: f64,
     high: f64,
     temperature: f64,
-    /// `exp((low - high) / T)`: attention of the coldest pixel against the hottest.
+    /// `exp((low - high) / T)`: attention of the coldest pixel relative to the hottest.
     coldest: f64,
     /// `-expm1((low - high) / T)`.
     span: f64,
-    /// `(high - low) / T` is below 1: the differences of exponentials would cancel.
+    /// Whether `(high - low) / T` is below 1, where differences of exponentials would lose precision.
     nearly_flat: bool,
 }
 
@@ -154,7 +155,7 @@ impl ScaledAttention {
         level.min(levels - 1)
     }
 
-    /// An energy safely below every pixel whose scaled attention reaches `share`.
+    /// An energy that is certainly below that of every pixel whose scaled attention reaches `share`.
     fn energy_below(&self, share: f64) -> f64 {
         if share <= 0.0 {
             return f64::NEG_INFINITY;
@@ -169,12 +170,12 @@ impl ScaledAttention {
 pub struct HistogramSum {
     /// `[bins]`, pixels.
     pub counts: Vec<u64>,
-    /// Images summed.
+    /// Number of images summed.
     pub images: u64,
 }
 
 impl HistogramSum {
-    /// Nothing counted yet.
+    /// A sum with nothing counted yet.
     pub fn new(bins: usize) -> Self {
         Self {
             counts: vec![0; bins],
@@ -236,7 +237,7 @@ mod tests {
         let all = counted(&attention(10.0, 0), &energies);
         assert_eq!((all[0], all[127], all[255]), (1, 1, 1));
         assert_eq!(all.iter().sum::<u32>(), 3);
-        // Bins 0..100 are sliced away: 155 remain, and bin 127 is the 27th of them.
+        // Bins 0..100 are left out: 155 remain, and bin 127 is the 27th of them.
         let kept = counted(&attention(10.0, 101), &energies);
         assert_eq!(kept.len(), 155);
         assert_eq!((kept[26], kept[154], kept.iter().sum::<u32>()), (1, 1, 2));
@@ -247,7 +248,7 @@ mod tests {
         for temperature in [1e-3, 0.5, 10.0, 99.0, 101.0, 1e6] {
             let scaled = ScaledAttention::new(0.0, 100.0, temperature);
             for g in [0.0, 1e-9, 1.0, 50.0, 99.0, 100.0] {
-                // The plain form, exact enough in 64 bits unless the map is flat against T.
+                // The plain form, which is exact enough in 64 bits unless the map is flat compared with T.
                 let e = |g: f64| ((g - 100.0) / temperature).exp();
                 let plain = (e(g) - e(0.0)) / (1.0 - e(0.0));
                 assert!(

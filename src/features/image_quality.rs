@@ -1,39 +1,40 @@
-//! What the encoder saw → how dark, flat, clipped and blurred it is: numbers to read beside a verdict, never a verdict.
+//! What the encoder saw → how dark, flat, clipped and blurred it is. These numbers are shown beside a verdict, and
+//! never change it.
 
 use crate::model::preprocess::Preprocessing;
 use crate::model::vectors::Vectors;
 
-/// Luma at most this much from black or white is clipped, of 1: two steps of 255, what rounding and resizing leave of a
-/// clipped pixel.
+/// Luma that is at most this far from black or white is clipped: two of 255 steps, which is the effect of rounding and
+/// resizing on a clipped pixel.
 const CLIPPED: f32 = 2.0 / 255.0;
 
-/// How good a picture is, at the size and in the region that the encoder sees. Luma is that of BT.601, 0 to 1.
+/// How good a picture is, at the size and in the region that the encoder sees. Luma is as in BT.601, from 0 to 1.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ImageQuality {
     /// Mean luma.
     pub brightness: f64,
     /// Standard deviation of luma (RMS contrast, Peli 1990).
     pub contrast: f64,
-    /// Share of pixels that are all but black or white.
+    /// Share of pixels that are almost black or almost white.
     pub clipped: f64,
-    /// Standard deviation of the Laplacian of luma (Pech-Pacheco et al. 2000); small in a blurred picture, and in one that
-    /// shows little.
+    /// Standard deviation of the Laplacian of luma (Pech-Pacheco et al. 2000); it is small in a blurred picture, and in
+    /// a picture with few details.
     pub sharpness: f64,
 }
 
 /// Measures pictures of one size; keeps its buffer.
 pub struct QualityMeter {
     width: usize,
-    /// What red, green and blue of the encoder's input add to luma, and what is missing then.
+    /// Factors of red, green and blue of the encoder's input for luma, and the constant that is added.
     shares: [f32; 3],
     offset: f32,
     luma: Vec<f32>,
-    /// Of one row.
+    /// The Laplacian of one row.
     laplacian: Vec<f32>,
 }
 
 impl QualityMeter {
-    /// For encoder input that was normalised so.
+    /// A meter for encoder input with this normalisation.
     pub fn new(of: &Preprocessing) -> Self {
         const LUMA: [f32; 3] = [0.299, 0.587, 0.114];
         Self {
@@ -45,7 +46,7 @@ impl QualityMeter {
         }
     }
 
-    /// Of the encoder's input, `[3, height, width]`, normalised RGB.
+    /// Measures the encoder's input, `[3, height, width]`, normalised RGB.
     pub fn measure(&mut self, input: &[f32]) -> ImageQuality {
         let mut measured = ImageQuality::default();
         Vectors::fastest().vectorised(
@@ -96,7 +97,7 @@ impl QualityMeter {
     }
 }
 
-/// A sum over many values, in parts that 32-bit floats hold well.
+/// A sum over many values, in parts that are small enough for 32-bit floats.
 #[inline(always)]
 fn sum_of(values: &[f32], of: impl Fn(f32) -> f32) -> f64 {
     const LANES: usize = 8;
@@ -146,7 +147,8 @@ mod tests {
 
     #[test]
     fn numbers_of_a_checkerboard_by_hand() {
-        // Half the pixels 51 (0.2), half 204 (0.8): contrast 0.3, every Laplacian 4 x 0.6, no pixel of the edge has one.
+        // Half the pixels 51 (0.2), half 204 (0.8): contrast 0.3, every Laplacian 4 x 0.6; pixels of the edge have no
+        // Laplacian.
         let found = quality(32, 16, |x, y| if (x + y) % 2 == 0 { 51 } else { 204 });
         let inside = 30.0 * 14.0 / (32.0 * 16.0);
         let wanted = ImageQuality {

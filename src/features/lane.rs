@@ -1,15 +1,15 @@
-//! What the lane model itself answers: its lane mask, how well that fits the truth, and how much of the encoder's energy
-//! lies on lanes. Nothing of this is run in the car; it judges models, not roads.
+//! The output of the lane model: its lane mask, how well that fits the truth, and how much of the encoder's energy is
+//! on lanes. This is not used in the car: it measures models, and not roads.
 
 use serde::Serialize;
 
 use crate::features::attention::EnergyMap;
 use crate::model::encoder::FeatureMap;
 
-/// Where lane is, `[height, width]`, row by row.
+/// Where there is lane, `[height, width]`, row by row.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct LaneMask {
-    /// Pixels a row.
+    /// Pixels in a row.
     pub width: usize,
     /// Rows.
     pub height: usize,
@@ -18,7 +18,7 @@ pub struct LaneMask {
 }
 
 impl LaneMask {
-    /// A label image: `labels` is `[height, width]`, 0 where there is no lane.
+    /// The mask of a label image: `labels` is `[height, width]`, 0 where there is no lane.
     pub fn of_labels(width: usize, labels: &[u8]) -> Self {
         Self {
             width,
@@ -27,7 +27,7 @@ impl LaneMask {
         }
     }
 
-    /// Takes over the lane head's answer: lane is where the logit is above 0.
+    /// Reads the lane head's output: there is lane where the logit is above 0.
     pub fn read(&mut self, logits: &FeatureMap<'_>) {
         let [_, height, width] = logits.shape;
         (self.width, self.height) = (width, height);
@@ -65,17 +65,17 @@ impl LaneMask {
     }
 }
 
-/// Pixels that two masks have in common, and that either has.
+/// Number of lane pixels that two masks have in common, and that at least one of them has.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Overlap {
     /// In both masks.
     pub both: u64,
-    /// In one of them at least.
+    /// In at least one of them.
     pub either: u64,
 }
 
 impl Overlap {
-    /// Of an answer with the truth, of the same size; no answer is one without lane.
+    /// The overlap of an output with the truth of the same size; no output counts as one without lane.
     pub fn of(answer: Option<&LaneMask>, truth: &LaneMask) -> Self {
         let answer = answer.map_or(&[][..], |mask| &mask.lane);
         let answer = answer.iter().copied().chain(std::iter::repeat(false));
@@ -87,7 +87,7 @@ impl Overlap {
         overlap
     }
 
-    /// Intersection over union, pooled over all; `None` when neither holds any lane.
+    /// Intersection over union, pooled over all; `None` if there is no lane in any mask.
     pub fn iou(all: impl Iterator<Item = Self>) -> Option<f64> {
         let sum = all.fold(Self::default(), |sum, one| Self {
             both: sum.both + one.both,
@@ -99,8 +99,8 @@ impl Overlap {
     }
 }
 
-/// Share of a map's energy that lies on lanes: `sum g(p) a(p) / sum g(p)`, where `a(p)` is the share of cell `p` that is
-/// lane. Attention that does not care for lanes has the mask's share of the area.
+/// Share of a map's energy that is on lanes: `sum g(p) a(p) / sum g(p)`, where `a(p)` is the share of cell `p` that is
+/// lane. For attention that does not depend on lanes, it is the mask's share of the area.
 ///
 /// `mask` is as large as `energy` or larger; `None` when there is no energy at all.
 pub fn energy_on_lanes(energy: &EnergyMap, mask: &LaneMask) -> Option<f64> {
@@ -152,7 +152,7 @@ mod tests {
 
     #[test]
     fn energy_on_lanes_weighs_each_cell_by_its_share_of_lane() {
-        // Cells of 2x2 pixels: the left one half lane, the right one without.
+        // Cells of 2x2 pixels: half of the left one is lane, and the right one has no lane.
         let mask = LaneMask::of_labels(4, &[1, 0, 0, 0, 1, 0, 0, 0]);
         let energy = |energy: &[f64]| EnergyMap {
             width: 2,
@@ -160,7 +160,7 @@ mod tests {
             energy: energy.to_vec(),
         };
         assert_eq!(energy_on_lanes(&energy(&[3.0, 1.0]), &mask), Some(0.375));
-        // Attention that does not care: the share of the area.
+        // Attention that does not depend on lanes: the share of the area.
         assert_eq!(
             energy_on_lanes(&energy(&[1.0, 1.0]), &mask),
             Some(mask.area())

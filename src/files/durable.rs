@@ -1,8 +1,8 @@
-//! Files and folders that are on the disk, with their names, before anybody is told of them: also when the power is cut the
-//! moment after.
+//! Files and folders that are on the disk, with their names, before they are reported, so that they stay even if the
+//! power is cut just after.
 //!
-//! The order is always the same: the content is synced, the name is given, and the folder that holds the name is synced. A file
-//! system that cannot sync a file or folder is taken as it is; an error of the disk is one.
+//! The order is always the same: the content is synced, the name is given, and the folder that holds the name is
+//! synced. If a file system cannot sync a file or folder, this is accepted. An error of the disk is an error.
 
 use std::fs::{self, File};
 use std::io;
@@ -21,16 +21,16 @@ pub fn folder_of(path: &Path) -> &Path {
 /// Returns when the content of a file, or the names in a folder, are on the disk.
 ///
 /// # Errors
-/// When the disk does not take it.
+/// When the disk reports an error.
 pub fn sync(file: &File) -> io::Result<()> {
     synced(file.sync_all())
 }
 
-/// Returns when the names in a folder are on the disk. A folder that may be written and not read cannot be synced, and is taken
-/// as it is.
+/// Returns when the names in a folder are on the disk. A folder that may be written to but not read cannot be synced;
+/// this is accepted.
 ///
 /// # Errors
-/// When it is not there, or the disk does not take it.
+/// When it does not exist, or when the disk reports an error.
 pub fn sync_folder(folder: &Path) -> io::Result<()> {
     match File::open(folder) {
         Err(error) if error.kind() == io::ErrorKind::PermissionDenied => Ok(()),
@@ -38,16 +38,16 @@ pub fn sync_folder(folder: &Path) -> io::Result<()> {
     }
 }
 
-/// Returns when everything below a folder is on the disk, with whatever else its file system has still to write: one call for
-/// any number of files.
+/// Returns when everything below a folder is on the disk, together with all other unwritten data of its file system.
+/// One call is enough for any number of files.
 ///
 /// # Errors
-/// When the folder cannot be read, or the disk does not take it.
+/// When the folder cannot be read, or when the disk reports an error.
 pub fn sync_contents(folder: &Path) -> io::Result<()> {
     synced(syncfs(File::open(folder)?).map_err(io::Error::from))
 }
 
-/// What a file system says that cannot sync is no error of the disk.
+/// The answer of a file system that cannot sync is not an error of the disk.
 fn synced(result: io::Result<()>) -> io::Result<()> {
     let cannot = [Errno::INVAL, Errno::OPNOTSUPP, Errno::NOSYS].map(Errno::raw_os_error);
     match result {
@@ -56,23 +56,23 @@ fn synced(result: io::Result<()>) -> io::Result<()> {
     }
 }
 
-/// Gives what is at `from`, whose content is on the disk, the name `to` in the same folder, instead of what may have it; returns
-/// when the name is on the disk.
+/// Renames `from`, whose content is on the disk, to `to` in the same folder, and replaces what may have that name.
+/// Returns when the name is on the disk.
 ///
 /// # Errors
-/// When it cannot have the name, or the disk does not take it.
+/// When it cannot be renamed, or when the disk reports an error.
 pub fn put_in_place(from: &Path, to: &Path) -> io::Result<()> {
     fs::rename(from, to)?;
     sync_folder(folder_of(to))
 }
 
-/// Gives what is at `from` the name `to`, if nothing has it; the folder is not synced yet.
+/// Renames `from` to `to`, if this name is free; the folder is not synced yet.
 ///
 /// # Errors
-/// `AlreadyExists` when something has the name, and when it cannot have it.
+/// `AlreadyExists` if the name is not free, or another error if it cannot be renamed.
 pub fn rename_to_free_name(from: &Path, to: &Path) -> io::Result<()> {
     match renameat_with(CWD, from, CWD, to, RenameFlags::NOREPLACE) {
-        // A file system that does not know this way.
+        // The file system does not support this flag.
         Err(Errno::INVAL | Errno::NOSYS | Errno::OPNOTSUPP) => match to.symlink_metadata() {
             Ok(_) => Err(io::ErrorKind::AlreadyExists.into()),
             Err(error) if error.kind() == io::ErrorKind::NotFound => fs::rename(from, to),
@@ -82,10 +82,10 @@ pub fn rename_to_free_name(from: &Path, to: &Path) -> io::Result<()> {
     }
 }
 
-/// Makes a folder and those above it where they are missing; returns when their names are on the disk.
+/// Creates a folder and the missing folders above it; returns when their names are on the disk.
 ///
 /// # Errors
-/// When one cannot be made, or the disk does not take it.
+/// When a folder cannot be created, or when the disk reports an error.
 pub fn create_folders(path: &Path) -> io::Result<()> {
     let missing = |path: &&Path| !path.as_os_str().is_empty() && !path.is_dir();
     let missing: Vec<&Path> = path.ancestors().take_while(missing).collect();
@@ -109,7 +109,7 @@ mod tests {
         let said = |errno: Errno| synced(Err(errno.into()));
         assert!(said(Errno::INVAL).is_ok() && said(Errno::OPNOTSUPP).is_ok());
         assert!(said(Errno::IO).is_err() && said(Errno::NOSPC).is_err());
-        // A real one: the kernel's own files cannot be synced.
+        // A real case: the kernel's own files cannot be synced.
         sync_folder(Path::new("/proc/self")).unwrap();
         assert!(sync_folder(Path::new("/no/such/folder")).is_err());
     }

@@ -1,8 +1,8 @@
-//! What is wrong with a JSON text, in plain words: without the names that the program's own types have.
+//! What is wrong with a JSON text, in plain words and without names of the program's types.
 
 use serde_json::error::Category;
 
-/// What was found, in one line, with its place where that is known.
+/// What was found, in one line, with its position if it is known.
 pub fn fault(error: &serde_json::Error) -> String {
     let place = match (error.line(), error.column()) {
         (0, _) => String::new(),
@@ -32,7 +32,7 @@ pub fn fault(error: &serde_json::Error) -> String {
             {
                 format!("another kind of value than belongs there{place}")
             } else {
-                // Words of our own.
+                // Our own error texts.
                 let own = said
                     .split_once(" at line ")
                     .map_or(said.as_str(), |(own, _)| own);

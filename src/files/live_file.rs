@@ -1,7 +1,8 @@
-//! Files that grow while people read them: every line is there as soon as it is written, and on the disk a second later.
+//! Files that grow while they are read: every line is in the file as soon as it is written, and on the disk a second
+//! later.
 //!
-//! Owns the thread that writes: who hands a line over never waits for a disk. If the disk is full, whole lines are lost,
-//! and nothing else; they are counted, and the log says so. An earlier file of the name is kept as `NAME.1`.
+//! A thread writes the lines, so that the caller never waits for a disk. If the disk is full, whole lines are lost,
+//! counted and logged, and nothing else is affected. An earlier file of the same name is kept as `NAME.1`.
 
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, Seek, SeekFrom, Write};
@@ -13,13 +14,13 @@ use std::time::{Duration, Instant};
 
 use crate::files::durable;
 
-/// Lines that may wait for a disk that hangs: several minutes of a monitor's.
+/// Largest number of lines that wait for a disk that hangs: several minutes of a monitor.
 const QUEUE_MAX: usize = 4_096;
-/// How old a line is at most when it is on the disk.
+/// Longest time until a line is on the disk.
 const SYNC_EVERY: Duration = Duration::from_secs(1);
 /// How long the end waits for a disk that hangs.
 const FINISH_WITHIN: Duration = Duration::from_secs(3);
-/// Shortest time between two log lines about the same trouble.
+/// Shortest time between two log lines about the same error.
 const COMPLAINT: Duration = Duration::from_secs(1);
 
 /// A file that is being written.
@@ -31,7 +32,7 @@ pub struct LiveFile {
 }
 
 impl LiveFile {
-    /// Begins a file at `path`; a regular file that is there is kept beside it.
+    /// Begins a file at `path`; an earlier regular file is kept beside it.
     ///
     /// # Errors
     /// When nothing can be written there.
@@ -50,7 +51,7 @@ impl LiveFile {
         std::thread::Builder::new()
             .name("live-file".to_owned())
             .spawn(move || {
-                // Nobody hears it when the end did not wait.
+                // There is no receiver if the program's end did not wait.
                 let _ = says_how.send(writer.run(&to_write));
             })?;
         Ok(Self {
@@ -61,10 +62,10 @@ impl LiveFile {
         })
     }
 
-    /// Waits until all lines are on the disk, for a few seconds at most.
+    /// Waits until all lines are on the disk, but at most a few seconds.
     ///
     /// # Errors
-    /// When they are not, or some lines were left out.
+    /// When they are not on the disk, or when some lines were left out.
     pub fn finish(self) -> io::Result<()> {
         let Self {
             lines,
@@ -78,7 +79,7 @@ impl LiveFile {
             Err(_) => {
                 return Err(io::Error::new(
                     io::ErrorKind::TimedOut,
-                    "the disk has not taken the last lines",
+                    "the last lines are not on the disk",
                 ));
             }
         }
@@ -86,14 +87,14 @@ impl LiveFile {
     }
 }
 
-/// A call takes one whole line.
+/// Each call writes one whole line.
 impl Write for LiveFile {
     fn write(&mut self, line: &[u8]) -> io::Result<usize> {
         match self.lines.try_send(line.to_vec()) {
             Ok(()) => self.left_out.over(),
-            Err(TrySendError::Full(_)) => {
-                self.left_out.add("the disk takes nothing", Instant::now())
-            }
+            Err(TrySendError::Full(_)) => self
+                .left_out
+                .add("the disk does not accept data", Instant::now()),
             Err(TrySendError::Disconnected(_)) => {
                 return Err(io::Error::other(format!(
                     "the writer of {} ended",
@@ -109,11 +110,11 @@ impl Write for LiveFile {
     }
 }
 
-/// Lines that nobody wrote.
+/// Counts of lines that were not written.
 struct LeftOut {
     name: String,
     all: u64,
-    /// Since the disk took the last one.
+    /// Number since the last line that was written.
     now: u64,
     complained_at: Option<Instant>,
 }
@@ -135,16 +136,16 @@ impl LeftOut {
             self.complained_at = Some(now);
             let (name, count) = (&self.name, self.now);
             log::error!(
-                "{name}: {why}; lines are left out until it takes them again, {count} so far"
+                "{name}: {why}; lines are left out until they can be written again, {count} so far"
             );
         }
     }
 
-    /// A line was taken.
+    /// A line could be written.
     fn over(&mut self) {
         if self.now > 0 {
             log::warn!(
-                "{}: it takes lines again; {} were left out",
+                "{}: lines are written again; {} were left out",
                 self.name,
                 self.now
             );
@@ -161,12 +162,12 @@ impl LeftOut {
     }
 }
 
-/// The other side of the queue.
+/// The thread that receives from the queue.
 struct Writer {
     file: File,
-    /// Where the file lies; `None` of a device or pipe, which is neither cut nor synced.
+    /// Path of the file; `None` for a device or pipe, which is neither truncated nor synced.
     place: Option<PathBuf>,
-    /// Bytes of whole lines.
+    /// Number of bytes in whole lines.
     whole: u64,
     unsynced_since: Option<Instant>,
     left_out: LeftOut,
@@ -211,7 +212,7 @@ impl Writer {
             Err(error) => {
                 self.left_out.add(&error.to_string(), Instant::now());
                 if self.place.is_some() {
-                    // Half a line would spoil what follows; where even this fails, the reader names the line.
+                    // Half a line would damage the next line. If even this fails, the reader reports the line.
                     let _ = self.file.set_len(self.whole);
                     let _ = self.file.seek(SeekFrom::Start(self.whole));
                 }
@@ -237,7 +238,7 @@ fn open(path: &Path) -> io::Result<(File, Option<PathBuf>)> {
             return Ok((OpenOptions::new().write(true).open(place)?, None));
         }
         Ok(there) => {
-            // What may not be written may not be moved either.
+            // A file that may not be written to may not be moved either.
             drop(OpenOptions::new().append(true).open(&place)?);
             if there.len() > 0 {
                 let mut earlier = place.clone().into_os_string();

@@ -1,16 +1,16 @@
-//! What a run writes lines to: a file that appears whole at the end, one that grows while people read it, or a stream.
+//! Outputs for lines: a file that appears whole at the end, a file that grows while it is read, or a stream.
 
 use std::io::{self, Write};
 
 use crate::files::live_file::LiveFile;
 use crate::files::whole_file::WholeFile;
 
-/// Takes lines, each with one call of `write_all`, and is ended.
+/// Accepts lines, each with one call of `write_all`, and is then finished.
 pub trait Output: Write + Send {
-    /// Ends the output; what it took is then where it belongs.
+    /// Ends the output. Everything that was written is then in its place.
     ///
     /// # Errors
-    /// When it is not.
+    /// When this is not the case.
     fn finish(self: Box<Self>) -> io::Result<()>;
 }
 
@@ -26,7 +26,7 @@ impl Output for LiveFile {
     }
 }
 
-/// A stream that others have opened.
+/// A stream that the caller has opened.
 pub struct Stream<W>(pub W);
 
 impl<W: Write> Write for Stream<W> {

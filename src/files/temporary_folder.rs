@@ -1,4 +1,4 @@
-//! Folders that go with the program, also when it is killed: the next program removes what a killed one has left.
+//! Folders that are removed when the program ends. If a program was killed, the next run removes its folder.
 
 use std::fs::{self, File, TryLockError};
 use std::io;
@@ -8,23 +8,24 @@ use std::time::{Duration, SystemTime};
 
 use tempfile::TempDir;
 
-/// Random characters at the end of a name.
+/// Number of random characters at the end of a name.
 const RANDOM: usize = 6;
-/// A folder younger than this may be of a program that has not locked it yet.
+/// A folder younger than this may belong to a program that has not locked it yet.
 const YOUNG: Duration = Duration::from_secs(60);
 
-/// A folder of a random name, removed when this is dropped.
+/// A folder with a random name, which is removed when this is dropped.
 pub struct TemporaryFolder {
     folder: TempDir,
-    /// The folder, locked as long as this program lives.
+    /// The folder, which is locked as long as this program runs.
     _lock: File,
 }
 
 impl TemporaryFolder {
-    /// Makes a folder in `parent` whose name begins with `prefix`; those of that name that killed programs have left go.
+    /// Creates a folder in `parent` whose name begins with `prefix`. Folders with this prefix that killed programs have
+    /// left are removed.
     ///
     /// # Errors
-    /// When there can be none.
+    /// When it cannot be created.
     pub fn create(parent: &Path, prefix: &str, mode: u32) -> io::Result<Self> {
         remove_left(parent, prefix);
         let folder = tempfile::Builder::new()
@@ -33,7 +34,7 @@ impl TemporaryFolder {
             .permissions(PermissionsExt::from_mode(mode))
             .tempdir_in(parent)?;
         let lock = File::open(folder.path())?;
-        // Where nothing can be locked nothing is found unlocked either, and what is left stays.
+        // If locks do not work there, no folder is found unlocked, and old folders stay.
         if let Err(TryLockError::Error(error)) = lock.try_lock_shared() {
             log::debug!("{}: {error}", folder.path().display());
         }
@@ -43,13 +44,13 @@ impl TemporaryFolder {
         })
     }
 
-    /// Where it is.
+    /// Its path.
     pub fn path(&self) -> &Path {
         self.folder.path()
     }
 }
 
-/// Best effort: what stays is looked at again by the next program.
+/// Best effort: the next run tries again to remove what stays.
 fn remove_left(parent: &Path, prefix: &str) {
     let is_left = |entry: &fs::DirEntry| -> io::Result<bool> {
         let name = entry.file_name();

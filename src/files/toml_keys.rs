@@ -1,6 +1,6 @@
-//! TOML files, read key by key: whatever is wrong is answered in plain words, with its line.
+//! Reads TOML files key by key. Whatever is wrong is reported in plain words, with its line.
 //!
-//! Owns the words for what was found and what would do. Refuses keys that are not known.
+//! It defines the texts for what was found and what was wanted. Unknown keys are refused.
 
 use std::fmt::Display;
 use std::ops::RangeInclusive;
@@ -9,7 +9,7 @@ use std::str::FromStr;
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
-/// Most characters of a value that an error repeats.
+/// Largest number of characters of a value that an error repeats.
 const FOUND_MAX: usize = 40;
 
 /// What is not understood in a file.
@@ -17,7 +17,7 @@ const FOUND_MAX: usize = 40;
 pub struct Wrong {
     /// Line, from 1.
     pub line: usize,
-    /// What was found and what would do.
+    /// What was found and what was wanted.
     pub what: String,
 }
 
@@ -39,7 +39,7 @@ impl<'t> Document<'t> {
             Wrong {
                 line: line_at(text, span.start),
                 what: match error.message() {
-                    "duplicate key" => format!("{key} is there twice; wanted it once"),
+                    "duplicate key" => format!("{key} is given twice; wanted it once"),
                     other => format!("not TOML: {}", other.replace('\n', " ")),
                 },
             }
@@ -47,10 +47,10 @@ impl<'t> Document<'t> {
         Ok(Self { text, table })
     }
 
-    /// The keys of the file itself, which are among `known`.
+    /// The keys of the file itself, which must be among `known`.
     ///
     /// # Errors
-    /// The first key that is not known.
+    /// The first unknown key.
     pub fn keys<'a>(&'a self, known: &[&str]) -> Result<Keys<'a>, Wrong> {
         Keys::of(self.text, String::new(), 1, self.table.get_ref(), known)
     }
@@ -59,7 +59,7 @@ impl<'t> Document<'t> {
 /// The keys of a file, or of one of its tables.
 pub struct Keys<'a> {
     text: &'a str,
-    /// As in `[can.speed]`; empty of the file itself.
+    /// Name as in `[can.speed]`; empty for the file itself.
     name: String,
     line: usize,
     table: &'a DeTable<'a>,
@@ -97,7 +97,7 @@ impl<'a> Keys<'a> {
         }
     }
 
-    /// ` in [can]`; nothing of the file itself.
+    /// ` in [can]`; empty for the file itself.
     fn inside(&self) -> String {
         if self.name.is_empty() {
             String::new()
@@ -111,13 +111,13 @@ impl<'a> Keys<'a> {
         self.line
     }
 
-    /// Line of a key, from 1; that of the table where the key is left out.
+    /// Line of a key, from 1; the line of the table if the key is missing.
     pub fn line_of(&self, key: &str) -> usize {
         let named = self.table.get_key_value(key);
         named.map_or(self.line, |(key, _)| line_at(self.text, key.span().start))
     }
 
-    /// The value of a key; `None` where it is left out.
+    /// The value of a key; `None` if it is missing.
     ///
     /// # Errors
     /// When it is another kind of value.
@@ -135,10 +135,10 @@ impl<'a> Keys<'a> {
         read.map(Some)
     }
 
-    /// As [`get`](Self::get), of a key that must be there.
+    /// Like [`get`](Self::get), for a key that must be there.
     ///
     /// # Errors
-    /// When it is left out, or another kind of value.
+    /// When it is missing, or is another kind of value.
     pub fn need<T>(&self, key: &str, kind: Kind<T>) -> Result<T, Wrong> {
         let wanted = kind.wanted.clone();
         self.get(key, kind)?.ok_or_else(|| Wrong {
@@ -147,10 +147,10 @@ impl<'a> Keys<'a> {
         })
     }
 
-    /// A table below, whose keys are among `known`; `None` where it is left out.
+    /// A table in this one, whose keys must be among `known`; `None` if it is missing.
     ///
     /// # Errors
-    /// When it is no table, or has a key that is not known.
+    /// When it is not a table, or has an unknown key.
     pub fn table(&self, key: &str, known: &[&str]) -> Result<Option<Keys<'a>>, Wrong> {
         let Some(value) = self.table.get(key) else {
             return Ok(None);
@@ -173,10 +173,10 @@ impl<'a> Keys<'a> {
         }
     }
 
-    /// As [`table`](Self::table), of a table that must be there.
+    /// Like [`table`](Self::table), for a table that must be there.
     ///
     /// # Errors
-    /// When it is left out, no table, or has a key that is not known.
+    /// When it is missing, is not a table, or has an unknown key.
     pub fn need_table(&self, key: &str, known: &[&str]) -> Result<Keys<'a>, Wrong> {
         self.table(key, known)?.ok_or_else(|| Wrong {
             line: self.line,
@@ -184,7 +184,7 @@ impl<'a> Keys<'a> {
         })
     }
 
-    /// A value as it is written, cut where it is long.
+    /// A value as it is written, cut if it is long.
     fn found(&self, value: &Spanned<DeValue<'_>>) -> String {
         let written = match value.get_ref() {
             DeValue::Table(_) => return "a table".to_owned(),
@@ -216,10 +216,10 @@ fn any_of(words: &[&str]) -> String {
     }
 }
 
-/// Reads a value; an error is what would do, where that is more than the kind's own words.
+/// Reads a value. An error may say what is wanted, if this is more than the text of the kind.
 type Reading<T> = dyn Fn(&DeValue<'_>) -> Result<T, Option<String>>;
 
-/// A kind of value: how it is read, and how a person is told what would do.
+/// A kind of value: how it is read, and the text that says what is wanted.
 pub struct Kind<T> {
     wanted: String,
     read: Box<Reading<T>>,
@@ -233,7 +233,7 @@ impl<T: 'static> Kind<T> {
         }
     }
 
-    /// The same, with other words for what would do.
+    /// The same, with another text for what is wanted.
     #[must_use]
     pub fn wanting(self, wanted: impl Into<String>) -> Self {
         Self {
@@ -242,7 +242,7 @@ impl<T: 'static> Kind<T> {
         }
     }
 
-    /// What is made of such a value, if anything can be.
+    /// A kind that converts this kind of value, if possible.
     pub fn of<U>(self, make: impl Fn(T) -> Option<U> + 'static) -> Kind<U> {
         Kind {
             wanted: self.wanted,
@@ -250,7 +250,7 @@ impl<T: 'static> Kind<T> {
         }
     }
 
-    /// As [`of`](Self::of), where what would do is said in words of its own.
+    /// Like [`of`](Self::of), with an error text of its own.
     pub fn or_say<U>(self, make: impl Fn(T) -> Result<U, String> + 'static) -> Kind<U> {
         Kind {
             wanted: self.wanted,
@@ -259,7 +259,7 @@ impl<T: 'static> Kind<T> {
     }
 }
 
-/// A text that is not empty, of which `wanted` says what would do.
+/// A text that is not empty; `wanted` says what is wanted.
 pub fn text(wanted: impl Into<String>) -> Kind<String> {
     Kind::new(wanted, |value| {
         let text = value.as_str().filter(|text| !text.is_empty());
@@ -273,7 +273,7 @@ pub fn word(words: &'static [&'static str]) -> Kind<String> {
         .of(|word| words.contains(&word.as_str()).then_some(word))
 }
 
-/// Yes or no.
+/// True or false.
 pub fn truth() -> Kind<bool> {
     Kind::new("true or false", |value| value.as_bool())
 }
@@ -310,7 +310,7 @@ where
     })
 }
 
-/// So many numbers, of which `wanted` says what would do.
+/// `N` numbers; `wanted` says what is wanted.
 pub fn numbers<T, const N: usize>(wanted: impl Into<String>) -> Kind<[T; N]>
 where
     T: FromStr + 'static,
@@ -325,7 +325,7 @@ where
     })
 }
 
-/// A list of texts, of which `wanted` says what would do.
+/// A list of texts; `wanted` says what is wanted.
 pub fn texts(wanted: impl Into<String>) -> Kind<Vec<String>> {
     Kind::new(wanted, |value| {
         let texts = value.as_array()?.iter();
@@ -343,7 +343,7 @@ fn integer(value: &DeValue<'_>) -> Option<i64> {
 fn float(value: &DeValue<'_>) -> Option<f64> {
     match value {
         DeValue::Float(float) => float.as_str().parse().ok(),
-        // Exact up to 2^53, far beyond any range that is asked for.
+        // It is exact up to 2^53, which is far beyond any range that is used.
         #[allow(clippy::cast_precision_loss)]
         DeValue::Integer(_) => integer(value).map(|integer| integer as f64),
         _ => None,
@@ -472,7 +472,7 @@ mod tests {
         assert_eq!(no_table, wrong(1, "a = 1; wanted a table [a] with y"));
         assert!(keys.table("x", &[]).unwrap().is_none());
         let twice = Document::parse("a = 1\na = 2\n").err().unwrap();
-        assert_eq!(twice, wrong(2, "a is there twice; wanted it once"));
+        assert_eq!(twice, wrong(2, "a is given twice; wanted it once"));
         let no_toml = Document::parse("a = 1\nb = [\n").err().unwrap();
         assert!(no_toml.what.starts_with("not TOML: "), "{no_toml:?}");
         assert!(

@@ -11,40 +11,41 @@ use tempfile::TempPath;
 
 use crate::files::durable::{folder_of, sync, sync_folder};
 
-/// Begins the names that files have for the moment in which they are put in place.
+/// Beginning of the temporary names of files while they are put in place.
 const PREFIX: &str = ".gapwatch-";
 
-/// Reads a file of at most `most` bytes: what is larger, or never ends, costs no more memory than that.
+/// Reads a file of at most `most` bytes. A file that is larger, or that never ends, takes no more memory than this.
 ///
 /// # Errors
-/// When it cannot be read, or is larger.
+/// When it cannot be read, or when it is larger.
 pub fn read_whole(path: &Path, most: u64) -> io::Result<Vec<u8>> {
     let mut bytes = Vec::new();
     File::open(path)?.take(most + 1).read_to_end(&mut bytes)?;
     if bytes.len() as u64 > most {
-        let why = format!("more than {most} bytes, which no file of its kind has");
+        let why = format!("more than {most} bytes, which is too large for this kind of file");
         return Err(io::Error::new(io::ErrorKind::FileTooLarge, why));
     }
     Ok(bytes)
 }
 
-/// As [`read_whole`], of text.
+/// Like [`read_whole`], for text.
 ///
 /// # Errors
-/// As [`read_whole`], and when it is not UTF-8.
+/// Like [`read_whole`], and when it is not UTF-8.
 pub fn read_text(path: &Path, most: u64) -> io::Result<String> {
     let not_text = |_| io::Error::new(io::ErrorKind::InvalidData, "not text in UTF-8");
     String::from_utf8(read_whole(path, most)?).map_err(not_text)
 }
 
-/// A file being written without a name; dropped without [`WholeFile::finish`], or killed, it leaves nothing behind. Where the file
-/// system has no files without names, it is written under another name beside its place, which only a killed program leaves.
+/// A file that is written without a name. If it is dropped without [`WholeFile::finish`], or if the program is killed,
+/// nothing is left. If the file system does not support files without names, it is written under another name beside
+/// its place, and this file is left only by a killed program.
 pub struct WholeFile(Target);
 
 enum Target {
     Beside {
         file: BufWriter<File>,
-        /// `None` of a file without a name.
+        /// `None` for a file without a name.
         name: Option<TempPath>,
         place: PathBuf,
     },
@@ -69,11 +70,11 @@ impl WholeFile {
                     OpenOptions::new().write(true).open(path)?,
                 ))));
             }
-            // What may not be written may not be replaced either.
+            // A file that may not be written to may not be replaced either.
             Ok(_) => drop(OpenOptions::new().append(true).open(path)?),
             Err(_) => {}
         }
-        // A link to a file stays a link: what it names is replaced.
+        // A link to a file stays a link: its target is replaced.
         let place = path.canonicalize().unwrap_or_else(|_| path.to_owned());
         let folder = folder_of(&place);
         let (file, name) = match nameless(folder) {
@@ -95,10 +96,10 @@ impl WholeFile {
         }))
     }
 
-    /// Puts the file in its place; it is on the disk when this returns.
+    /// Puts the file in its place. It is on the disk when this returns.
     ///
     /// # Errors
-    /// When the disk does not take it.
+    /// When it cannot be written.
     pub fn finish(self) -> io::Result<()> {
         match self.0 {
             Target::Beside { file, name, place } => {
@@ -114,19 +115,20 @@ impl WholeFile {
     }
 }
 
-/// A file without a name; `None` where there is none that could be given one later, and where nothing can be written.
+/// A file without a name; `None` if the file system has no files that can be given a name later, or if nothing can be
+/// written.
 fn without_name(folder: &Path) -> Option<File> {
     let flags = OFlags::WRONLY | OFlags::TMPFILE | OFlags::CLOEXEC;
     let file = File::from(rustix::fs::open(folder, flags, Mode::from(0o644)).ok()?);
     name_of_open(&file).exists().then_some(file)
 }
 
-/// Under which every program sees its own open files, also those without a name.
+/// The path under which every program sees its own open files, also those without a name.
 fn name_of_open(file: &File) -> PathBuf {
     PathBuf::from(format!("/proc/self/fd/{}", file.as_raw_fd()))
 }
 
-/// Gives a file without a name one in `folder`.
+/// Gives a file without a name a name in `folder`.
 fn named(file: &File, folder: &Path) -> io::Result<TempPath> {
     let open = name_of_open(file);
     let link = |name: &Path| Ok(linkat(CWD, &open, CWD, name, AtFlags::SYMLINK_FOLLOW)?);
@@ -153,7 +155,7 @@ impl Write for WholeFile {
     }
 }
 
-/// An error of `tempfile` without the name of the temporary file or folder, which nobody typed.
+/// An error of `tempfile` without the name of the temporary file or folder, which the user does not know.
 pub fn unnamed(error: &io::Error) -> io::Error {
     let said = error.to_string();
     let of_system = said

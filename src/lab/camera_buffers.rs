@@ -1,17 +1,17 @@
-//! Rendered pictures → the buffers that a camera would fill with them.
+//! Rendered pictures → the buffers that a camera would give for them.
 
 use image::codecs::jpeg::JpegEncoder;
 
 use crate::capture::Picture;
 use crate::capture::pixels::{Layout, PixelFormat};
 
-/// Quality of JPEG images, of 100: what cameras send.
+/// Quality of JPEG images, from 1 to 100, as cameras send them.
 const JPEG_QUALITY: u8 = 85;
 
 /// A buffer with its layout.
 ///
 /// # Errors
-/// When a picture cannot be made a JPEG image.
+/// When a picture cannot be encoded as a JPEG image.
 pub fn buffer_of(picture: &Picture, format: PixelFormat) -> image::ImageResult<(Layout, Vec<u8>)> {
     let layout = Layout {
         format,
@@ -58,7 +58,7 @@ fn rows(picture: &Picture) -> impl Iterator<Item = &[u8]> {
         .chunks_exact(3 * (picture.width as usize).max(1))
 }
 
-/// Two neighbours share the colour of the left one.
+/// Two neighbouring pixels share the colour of the left one.
 fn yuyv(row: &[u8]) -> Vec<u8> {
     let pixels: Vec<[u8; 3]> = row.chunks_exact(3).map(yuv).collect();
     let pairs = pixels.chunks(2);
@@ -70,7 +70,7 @@ fn yuyv(row: &[u8]) -> Vec<u8> {
         .collect()
 }
 
-/// BT.601 of limited range.
+/// Luma and colour, BT.601 with limited range.
 #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)]
 fn yuv(rgb: &[u8]) -> [u8; 3] {
     let [r, g, b] = [rgb[0], rgb[1], rgb[2]].map(f64::from);

@@ -1,4 +1,4 @@
-//! Image sets against a reference set, metric by metric and block by block: the paper's table.
+//! Compares image sets with a reference set, for each metric and block: the paper's table.
 
 use serde::Serialize;
 
@@ -12,7 +12,7 @@ use crate::reference::gap::moments::{self, EnergyNorm, Moments};
 use crate::reference::gap::{Divergence, Metric, NeedsLabels, frechet};
 use crate::statistics::quantile::median;
 
-/// The frames of a set, which may be several drives.
+/// The frames of a set, which may consist of several drives.
 pub struct ImageSet {
     /// As the user named it.
     pub name: String,
@@ -20,7 +20,7 @@ pub struct ImageSet {
     pub surveys: Vec<Survey>,
 }
 
-/// A set's comparison by one metric.
+/// The comparison of a set by one metric.
 #[derive(Debug)]
 pub struct Row {
     /// Name of the set.
@@ -29,9 +29,9 @@ pub struct Row {
     pub metric: Metric,
     /// Images of the set.
     pub images: usize,
-    /// Images of it that could be judged; the others are left out.
+    /// Number of its images that could be judged; the others are left out.
     pub judged: u64,
-    /// The metric's own number for each tap, or why there is none.
+    /// The value of the metric for each tap, or why there is none.
     pub values: Vec<Result<f64, Undefined>>,
 }
 
@@ -48,20 +48,20 @@ pub struct HistogramRecord {
     pub median_peak_energy: f64,
     /// How pixels were counted.
     pub binning: Binning,
-    /// Images counted.
+    /// Number of images counted.
     pub images: u64,
     /// `[bins]`, pixels.
     pub counts: Vec<u64>,
 }
 
-/// Sets that cannot be compared: by this metric, or because images of the reference cannot be judged.
+/// Sets that cannot be compared with this metric, or because images of the reference cannot be judged.
 #[derive(Debug, thiserror::Error)]
 pub enum ComparisonError {
-    /// The metric compares no sets of images.
+    /// The metric cannot compare sets of images.
     #[error(transparent)]
     Metric(#[from] NeedsLabels),
-    /// One of its images.
-    #[error("reference {set}: image {number} in order cannot be judged: {why}")]
+    /// One image of the reference cannot be judged.
+    #[error("reference {set}: image number {number} cannot be judged: {why}")]
     Image {
         /// Name of the set.
         set: String,
@@ -70,7 +70,7 @@ pub enum ComparisonError {
         /// Why.
         why: Undefined,
     },
-    /// The set as a whole.
+    /// The reference as a whole cannot be used.
     #[error("reference {set}: {why}")]
     Set {
         /// Name of the set.
@@ -83,14 +83,14 @@ pub enum ComparisonError {
 /// Rows and histograms of a comparison.
 #[derive(Debug, Default)]
 pub struct Comparisons {
-    /// One a metric and set, in that order.
+    /// One row for each metric and set, in this order.
     pub rows: Vec<Row>,
-    /// One a metric, set (the reference first) and tap.
+    /// One histogram for each metric, set (the reference first) and tap.
     pub histograms: Vec<HistogramRecord>,
 }
 
 impl ImageSet {
-    /// How many images the set has.
+    /// Number of images of the set.
     pub fn images(&self) -> usize {
         self.surveys.iter().map(|survey| survey.frames.len()).sum()
     }
@@ -110,7 +110,7 @@ impl ImageSet {
         })
     }
 
-    /// The set as a reference: every image of it counts.
+    /// The set as a reference: every image must have a value.
     ///
     /// # Errors
     /// The first image that has no value.
@@ -135,7 +135,7 @@ impl ImageSet {
         }
     }
 
-    /// Counts of the images that can be judged, and why the first of the others cannot.
+    /// Counts of the images that can be judged, and why the first of the other images cannot.
     fn sum(&self, tap: usize, binning: &Binning) -> (HistogramSum, Option<Undefined>) {
         let (mut sum, mut reason) = (HistogramSum::new(binning.bins()), None);
         for map in self.maps(tap) {
@@ -149,7 +149,7 @@ impl ImageSet {
         (sum, reason)
     }
 
-    /// Means of the images that can be judged, and why the first of the others cannot.
+    /// Means of the images that can be judged, and why the first of the other images cannot.
     fn judged_means(&self, tap: usize) -> (Vec<&BlockMeans>, Option<Undefined>) {
         let (mut judged, mut reason) = (Vec::new(), None);
         for image in self.means(tap) {
@@ -164,7 +164,7 @@ impl ImageSet {
     }
 }
 
-/// What a metric holds sets against: the reference set, one tap.
+/// What a metric compares sets with: one tap of the reference set.
 enum Against<'a> {
     Histogram(Divergence, TapHistogram),
     Means(Vec<&'a BlockMeans>),
@@ -202,7 +202,7 @@ impl<'a> Against<'a> {
         }
     }
 
-    /// The metric's number of a set, how many of its images could be judged, and its counts if there are any.
+    /// The value of the metric for a set, how many of its images could be judged, and its counts if there are any.
     fn compare(
         &self,
         set: &ImageSet,
@@ -245,7 +245,7 @@ fn moments_of(images: &[&BlockMeans], epsilon: f64) -> Moments {
 /// Compares sets with a reference by several metrics.
 ///
 /// # Errors
-/// When a metric needs labelled drives, or an image of the reference cannot be judged.
+/// When a metric needs labelled drives, or when an image of the reference cannot be judged.
 pub fn compare(
     reference: &ImageSet,
     sets: &[ImageSet],

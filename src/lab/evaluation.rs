@@ -1,8 +1,9 @@
-//! How good the monitor is on drives that nothing was tuned on (`domain_detection`, `false_alarms`, `lane_failure`) and on
-//! image sets of other roads (`field_sets`, `paper_table`), and here how good a lane model is, and where it looks, on scenes that no training has seen: over looks of the world and over conditions of
-//! growing severity.
+//! How good the monitor is on drives that were not used for tuning (`domain_detection`, `false_alarms`, `lane_failure`)
+//! and on image sets of other roads (`field_sets`, `paper_table`). This file measures how good a lane model is, and
+//! where it looks, on scenes that were not used for training, with all looks of the world and with conditions of
+//! increasing severity.
 //!
-//! Intervals are percentiles over resampled scenes, since the pixels of one scene depend on each other.
+//! Intervals are percentiles over resampled scenes, because the pixels of one scene depend on each other.
 
 pub mod domain_detection;
 pub mod false_alarms;
@@ -32,20 +33,20 @@ use crate::statistics::quantile::median;
 pub use resampling::binomial_interval;
 use resampling::interval;
 
-/// The scene set that models are judged on; training, validation and test of the trainer have others.
+/// The scene set on which models are measured. Training, validation and test of the trainer use other sets.
 pub const SCENE_SET: u32 = 4004;
 
-/// One thing to judge a model under.
+/// One setting in which a model is measured.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Setting {
     /// The world.
     pub world: World,
-    /// Its condition; `None` = plain day.
+    /// Its condition; `None` = a plain day.
     pub condition: Option<Condition>,
 }
 
 impl Setting {
-    /// Every look in plain day and under every condition at severities 1 to 5.
+    /// Every look on a plain day, and under every condition with severities 1 to 5.
     pub fn all() -> Vec<Self> {
         Look::ALL
             .into_iter()
@@ -68,7 +69,7 @@ impl Setting {
     }
 }
 
-/// How good a model is under one setting.
+/// How good a model is in one setting.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct LaneIou {
     /// The model.
@@ -79,50 +80,51 @@ pub struct LaneIou {
     pub condition: String,
     /// Its severity, 0 to 5.
     pub severity: f32,
-    /// Scenes judged.
+    /// Number of scenes.
     pub scenes: usize,
-    /// Scenes that the model cannot be asked about: nothing but black, say. They count as if it had seen no lane.
+    /// Number of scenes that cannot be given to the model, for example because they are black. They count as if the
+    /// model had seen no lane.
     pub unjudged: usize,
-    /// Intersection over union, pooled over all pixels of all scenes; `None` when there is no lane at all.
+    /// Intersection over union, pooled over all pixels of all scenes; `None` if there is no lane at all.
     pub iou: Option<f64>,
-    /// 95 % interval of it, resampling scenes.
+    /// Its 95 % interval, from resampling scenes.
     pub interval: Option<(f64, f64)>,
-    /// Where the encoder looks, tap by tap.
+    /// Where the encoder looks, for each tap.
     pub attention: Vec<LaneAttention>,
 }
 
-/// How much of one tap's energy lies on lanes.
+/// How much of one tap's energy is on lanes.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct LaneAttention {
     /// Name of the tap.
     pub tap: String,
     /// Median over the scenes of the largest energy.
     pub peak_energy: Option<f64>,
-    /// Median share of the energy that lies on lanes.
+    /// Median share of the energy that is on lanes.
     pub on_lanes: Option<f64>,
-    /// Median of that share as a multiple of the lanes' share of the picture: 1 = does not care.
+    /// Median of that share as a multiple of the lanes' share of the picture; 1 = the energy does not depend on lanes.
     pub lift: Option<f64>,
 }
 
-/// One scene's answers.
+/// The results of one scene.
 struct Answer {
     setting: usize,
     overlap: Overlap,
     judged: bool,
-    /// By tap; empty when the scene could not be judged.
+    /// One entry for each tap; empty if the scene could not be judged.
     attention: Vec<TapAttention>,
 }
 
 /// Where one tap looks in one scene.
 struct TapAttention {
     peak_energy: f64,
-    /// Share of its energy on lanes; `None` of a scene without lanes.
+    /// Share of its energy on lanes; `None` for a scene without lanes.
     on_lanes: Option<f64>,
     /// Share of the picture that is lane.
     area: f64,
 }
 
-/// Judges a model on `scenes` scenes of every setting; `seen` is called after each scene.
+/// Measures a model on `scenes` scenes of every setting; `seen` is called after each scene.
 ///
 /// # Errors
 /// When the encoder cannot be run at all.
@@ -162,11 +164,11 @@ pub fn lane_iou(
         .collect())
 }
 
-/// What one thread needs to render scenes and ask the model about them.
+/// What one thread needs to render scenes and to run the model on them.
 struct Judge {
     renderer: Renderer,
     stage: EnergyStage,
-    /// By tap, once the sizes of their maps are known.
+    /// One for each tap, when the sizes of the maps are known.
     upsamplers: Vec<Upsampler>,
     size: (u32, u32),
 }
@@ -204,7 +206,7 @@ impl Judge {
         }
     }
 
-    /// Where the encoder looks in one picture, by tap.
+    /// Where the encoder looks in one picture, for each tap.
     fn attention(
         &mut self,
         pixels: &Pixels,

@@ -1,4 +1,4 @@
-//! Rendered drives with lane labels, seen through a lane model: what its encoder saw, and how well it found the lanes.
+//! Rendered drives with lane labels, as a lane model sees them: what its encoder saw, and how well it found the lanes.
 
 use rayon::prelude::*;
 
@@ -11,23 +11,23 @@ use crate::lab::scene::{Condition, ConditionKind, Drive, DriveSpec, Renderer};
 use crate::model::encoder::{Encoder, EncoderError};
 use crate::model::preprocess::Preprocessing;
 
-/// Lane IoU in plain day below which a frame says nothing about what a condition costs.
+/// Lane IoU on a plain day below which a frame does not show how much a condition reduces it.
 const CLEAN_IOU_MIN: f64 = 0.3;
-/// Severities that the conditions have in turn.
+/// Number of severities that the conditions have in turn.
 const SEVERITIES: usize = 5;
 
-/// A drive seen through a lane model.
+/// A drive as a lane model sees it.
 pub struct LabelledSurvey {
     /// What the encoder saw.
     pub survey: Survey,
-    /// Of every frame, the model's lanes with the true ones.
+    /// For every frame, the overlap of the model's lanes with the true lanes.
     pub overlaps: Vec<Overlap>,
-    /// Of every frame, mean and standard deviation of its grey levels, 0 to 255.
+    /// For every frame, mean and standard deviation of its grey levels, 0 to 255.
     pub grey: Vec<[f64; 2]>,
 }
 
 impl LabelledSurvey {
-    /// Renders a drive at the encoder's size and looks at every frame. `encoder` must have its lane head.
+    /// Renders a drive at the encoder's size and looks at every frame. `encoder` must have a lane head.
     ///
     /// # Errors
     /// When the encoder cannot be run at all.
@@ -87,27 +87,27 @@ fn grey(rgb: &[u8]) -> [f64; 2] {
     [mean / 3.0, variance.max(0.0).sqrt() / 3.0]
 }
 
-/// 1 - IoU / IoU in plain day, 0 to 1; `None` where the model sees too little of the lanes in plain day.
+/// 1 - IoU / IoU on a plain day, 0 to 1; `None` if the model sees too little of the lanes on a plain day.
 pub fn loss(shifted: Overlap, clean: Overlap) -> Option<f64> {
     let iou = |overlap| Overlap::iou(std::iter::once(overlap));
     let clean = iou(clean).filter(|&iou| iou >= CLEAN_IOU_MIN)?;
     Some((1.0 - iou(shifted)? / clean).clamp(0.0, 1.0))
 }
 
-/// The conditions that the drive of a number is seen under: each kind, at severities 1 to 5 in turn.
+/// The conditions under which the drive with this number is seen: each kind, with severities 1 to 5 in turn.
 pub fn conditions(number: usize) -> impl Iterator<Item = Condition> {
     let kinds = ConditionKind::ALL.into_iter().enumerate();
     kinds.map(move |(index, kind)| Condition {
         kind,
-        // 1 to 5.
+        // It is 1 to 5.
         #[allow(clippy::cast_precision_loss)]
         severity: ((number % SEVERITIES + index) % SEVERITIES + 1) as f32,
         span_s: None,
     })
 }
 
-/// Frames that a forecast of the lane model's loss is learnt from: every drive plain and under each kind of condition, at
-/// severities in turn. `seen` is called after each drive.
+/// Frames from which a forecast of the lane model's loss is learnt: every drive plain and under each kind of condition,
+/// with severities in turn. `seen` is called after each drive.
 ///
 /// # Errors
 /// When the encoder cannot be run at all.
@@ -130,8 +130,8 @@ pub fn training_frames(
     Ok(all.into_iter().flatten().collect())
 }
 
-/// Frames of one drive under each kind of condition, with what the lane model loses there; `number` sets the severities as
-/// [`conditions`] says. Frames in which it sees too little of the lanes in plain day are left out.
+/// Frames of one drive under each kind of condition, with what the lane model loses there; `number` sets the severities
+/// as in [`conditions`]. Frames in which the model sees too little of the lanes on a plain day are left out.
 ///
 /// # Errors
 /// When the encoder cannot be run at all.
@@ -205,7 +205,7 @@ mod tests {
                 .collect();
             of.iter().sum::<f64>() / f64::from(u32::try_from(of.len()).unwrap())
         };
-        // Severity 3 and 1.
+        // The severities are 3 and 1.
         assert!(mean(ConditionKind::Snow) > 0.4 + mean(ConditionKind::Askew));
     }
 }

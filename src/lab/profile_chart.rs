@@ -1,9 +1,10 @@
-//! Profiles as panels of a sheet: the live histogram over the reference, or how far each channel is from nominal.
+//! Profiles as panels of a sheet: the live histogram over that of the reference, or how far each channel is from
+//! nominal.
 
 use crate::capture::Picture;
 use crate::monitor::profile::{ProfileKind, TapProfile};
 
-/// sRGB; told apart by all kinds of colour blindness, and by lightness.
+/// Colours, sRGB. They can be distinguished with all kinds of colour blindness, and by their lightness.
 const BACKGROUND: [u8; 3] = [18, 18, 26];
 const BAND: [u8; 3] = [52, 52, 66];
 const LEFT_OUT: [u8; 3] = [110, 110, 120];
@@ -13,17 +14,18 @@ const COUNTED: [u8; 3] = [255, 255, 255];
 
 /// Rows below a histogram: a gap, and the line under the counted bins.
 const FOOT_PX: usize = 5;
-/// Deviations that the axis reaches at least, nominal spreads.
+/// Smallest deviation at the end of the axis, nominal spreads.
 const REACH_MIN: f64 = 4.0;
-/// Half width of the band around nominal, spreads: where 95 % of nominal windows are, if they are normally distributed.
+/// Half of the width of the band around nominal, spreads: 95 % of nominal windows are in it, if they are normally
+/// distributed.
 const BAND_SPREADS: f64 = 2.0;
 
 /// A profile as a panel of `width` x `height` pixels.
 ///
-/// Of a histogram: bars of the live window, steps of the reference, and a white line under the bins that are counted.
-/// `left_out` are the live shares of the bins before those, in the unit of the profile; grey, and cut where they are higher
-/// than the counted ones.
-/// Of energies: a bar for the deviation of each channel over a band of two nominal spreads; `left_out` is of no use.
+/// For a histogram: bars of the live window, steps of the reference, and a white line under the bins that are counted.
+/// `left_out` are the live shares of the bins before these, in the unit of the profile; they are grey, and cut if they
+/// are higher than the counted ones. For energies: a bar for the deviation of each channel, over a band of two nominal
+/// spreads; `left_out` is not used.
 pub fn panel(profile: &TapProfile, left_out: &[f64], (width, height): (u32, u32)) -> Picture {
     let mut panel = Panel::new(width, height);
     match profile.kind {
@@ -71,7 +73,7 @@ impl Panel {
             self.fill(column, row(share), floor, colour);
             if let Some(bin) = bin.checked_sub(left_out.len()) {
                 self.fill(column, self.height.saturating_sub(2), self.height, COUNTED);
-                // Down or up to the neighbour's step, so that the steps hang together.
+                // Down or up to the step of the neighbour, so that the steps are connected.
                 let here = row(profile.nominal[bin]);
                 let before = match (column.saturating_sub(1) * bins / self.width)
                     .checked_sub(left_out.len())
@@ -99,7 +101,7 @@ impl Panel {
             self.fill(column, band.0, band.1, BAND);
             let of = |column: usize| column * ends.len() / self.width;
             let end = ends[of(column)];
-            // Wide bars stand apart.
+            // Wide bars have a gap between them.
             if 4 * ends.len() > self.width || of(column) == of(column + 1) {
                 self.fill(column, end.min(middle), end.max(middle), LIVE);
             }
@@ -116,7 +118,7 @@ impl Panel {
     }
 }
 
-/// A share of some rows, whole rows; shares beyond 0 and 1 are cut.
+/// A share of some rows as a whole number of rows; shares are limited to 0 to 1.
 #[allow(
     clippy::cast_possible_truncation,
     clippy::cast_sign_loss,
@@ -152,14 +154,15 @@ mod tests {
 
     #[test]
     fn bars_are_as_high_as_their_shares_and_counted_bins_are_marked() {
-        // Two bins left out, the first far higher than what is counted; ten columns a bin; 100 rows above the foot.
+        // Two bins are left out, the first one far higher than what is counted; each bin has ten columns; 100 rows are
+        // above the foot.
         let profile = histogram(vec![0.5, 0.25], vec![0.1, 0.9]);
         let size = (40, 100 + u32::try_from(FOOT_PX).unwrap_or(0));
         let shown = panel(&profile, &[7.0, 0.09], size);
         let high = |column, colour| rows(&shown, column, colour);
         assert_eq!(high(5, LEFT_OUT), 100, "cut at the top");
         assert_eq!(high(15, LEFT_OUT), 10);
-        // The step of the reference lies over the bar of the first bin, and above the second's.
+        // The step of the reference is drawn over the bar of the first bin, and above the bar of the second one.
         assert_eq!(high(25, LIVE) + high(25, NOMINAL), 56);
         assert_eq!((high(35, LIVE), high(35, NOMINAL)), (28, 1));
         assert_eq!(

@@ -1,13 +1,15 @@
-//! The road simulator: labelled frames of drives, for training the lane model and for shifts with a known truth.
+//! The road simulator: labelled frames of drives, for training the lane model and for changes of the domain with a
+//! known truth.
 //!
 //! A [`Drive`] is a road, its paint, its surroundings, traffic, light and a camera, all drawn from one seed. Any moment
-//! of it can be rendered at once; the same seed, time and size give the same bytes on every machine and thread. It models
-//! what the lane task needs and nothing else: a road surface of clothoids and hills, boards standing on it, light, lens.
+//! of it can be rendered directly. The same seed, time and size give the same bytes on every machine and thread. It
+//! models only what the lane task needs: a road surface of clothoids and hills, upright boards on it, light, and a
+//! lens.
 //!
 //! Data flow: `Road`, `Layout`, `Surroundings`, `Traffic`, `Light` → [`Renderer`] (linear light and depth) → weather →
-//! lens → sensor → 8-bit frame and lane mask. A [`World`] says in which look, and with which elements.
+//! lens → sensor → 8-bit frame and lane mask. A [`World`] says which look it has, and which elements.
 //!
-//! Pixel arithmetic converts between integers and floats on every line, inside ranges that the code fixes.
+//! Pixel arithmetic converts between integers and floats on every line, within ranges that the code ensures.
 #![allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)]
 
 mod canvas;
@@ -39,9 +41,11 @@ pub use source::open;
 pub use spec::{DriveSpec, SpecError};
 pub use world::{Element, Look, World, WorldError};
 
-/// Seed of the drive and time in it, seconds, of scene `index` of the scene set `set`: one moment of a drive of its own.
+/// Seed of the drive and time in it, seconds, of scene `index` of the scene set `set`. Each scene is one moment of
+/// another drive.
 ///
-/// Seeds of scene sets lie above 32 bits: no scene is a moment of a drive that a user can name by a small seed.
+/// Seeds of scene sets are above 32 bits, so that no scene is a moment of a drive that a user can name with a small
+/// seed.
 pub fn scene_moment(set: u32, index: u32) -> (u64, f64) {
     let seed = (u64::from(set) + 1) << 32 | u64::from(index);
     (seed, f64::from(index % 600))
@@ -159,7 +163,7 @@ mod tests {
                 for pixel in 6..mask.len() - 6 {
                     let bright = f64::from(rgb[3 * pixel]);
                     let near = (pixel - 6..=pixel + 6).any(|p| mask[p] != 0);
-                    // Markings far away are thinner than a pixel: only the lower part of the picture tells.
+                    // Markings far away are thinner than a pixel, so only the lower part of the picture is compared.
                     if pixel / width < 3 * SIZE.1 as usize / 5 {
                         continue;
                     }

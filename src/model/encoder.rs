@@ -1,10 +1,11 @@
-//! Encoder input → feature maps of the tapped blocks: with `encoder/lowering.rs` the only file that names tract.
+//! Encoder input → feature maps of the tapped blocks: together with `encoder/lowering.rs` the only file that uses
+//! tract's types.
 //!
-//! Any ONNX encoder with one picture input `[1, 3, H, W]` will do. The taps are asked for by name, and whatever does not
-//! lead to them (a lane head, unless it is asked for too) is dropped before the graph is optimised.
+//! Any ONNX encoder with one picture input `[1, 3, H, W]` can be used. The taps are named, and whatever does not lead
+//! to them (for example a lane head that is not asked for) is removed before the graph is optimised.
 //!
-//! tract reads every model. Graphs of the few operators that lane models are made of then run in our own executor, which
-//! takes a third of tract's time; all others run in tract:
+//! tract reads every model. Graphs that consist of the few operators of lane models then run in our own executor, which
+//! takes a third of tract's time. All other graphs run in tract:
 //!
 //! ```text
 //! ONNX -> tract's typed graph -> Graph of our operators -> Plan of steps -> Buffers of one thread
@@ -45,14 +46,14 @@ pub use guard::in_tract;
 use inference::{admits, broken_constant, largest, listed, root};
 use plan::Plan;
 
-/// Most elements of one value inside a model: half a GiB of 32-bit floats, eight times the largest input.
+/// Largest number of elements of one value inside a model: half a GiB of 32-bit floats, eight times the largest input.
 const VOLUME_MAX: u64 = 1 << 27;
 
-/// Largest difference between our executor and tract, as a share of a tap's largest activation: a hundred times what rounding
-/// makes of the shipped models.
+/// Largest difference between our executor and tract, as a share of a tap's largest activation: a hundred times the
+/// difference from rounding in the shipped models.
 const DIFFERENCE_MAX: f32 = 1e-4;
 
-/// Most outputs of an encoder: the taps and the lane head.
+/// Largest number of outputs of an encoder: the taps and the lane head.
 const OUTPUTS_MAX: usize = TAPS_MAX + 1;
 
 /// A loaded model, shared between threads.
@@ -72,10 +73,10 @@ enum Engine {
     Tract(Arc<TypedRunnableModel>),
 }
 
-/// Who may compute a model.
+/// What may compute a model.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum Executor {
-    /// Our executor where it knows all operators and agrees with tract, else tract.
+    /// Our executor if it knows all operators and agrees with tract, else tract.
     #[default]
     Fastest,
     /// tract.
@@ -121,8 +122,8 @@ impl<'a> Deref for FeatureMaps<'a> {
     }
 }
 
-/// Adds at least `count` products in registers with the fastest vectors of this processor, and says how many: the limit that
-/// an encoder's speed is measured against.
+/// Adds at least `count` products in registers with the fastest vectors of this processor, and returns how many. This
+/// is the limit with which the speed of an encoder is compared.
 pub fn products_in_registers(count: u64) -> u64 {
     let in_round = (loops::REGISTERS * layout::LANES) as u64;
     let rounds = count.div_ceil(in_round);
@@ -134,7 +135,7 @@ impl Encoder {
     /// Loads and optimises a model for its taps.
     ///
     /// # Errors
-    /// When the file is no ONNX model, a tap is unknown, or shapes do not fit.
+    /// When the file is not an ONNX model, when a tap is unknown, or when shapes do not fit.
     pub fn load(spec: &ModelSpec) -> Result<Self, EncoderError> {
         Self::load_in(spec, Executor::Fastest)
     }
@@ -142,12 +143,12 @@ impl Encoder {
     /// Loads a model for its taps and its lane head, if the model's options name one.
     ///
     /// # Errors
-    /// As [`Encoder::load`], and when the lane head does not answer with one logit a pixel of the input.
+    /// Like [`Encoder::load`], and when the lane head does not give one logit for each pixel of the input.
     pub fn load_with_lane(spec: &ModelSpec) -> Result<Self, EncoderError> {
         Self::load_for(spec, spec.lane.as_ref(), Executor::Fastest)
     }
 
-    /// As [`Encoder::load`], and says who may compute it.
+    /// Like [`Encoder::load`], with a choice of what may compute the model.
     ///
     /// # Errors
     /// As [`Encoder::load`].
@@ -178,7 +179,7 @@ impl Encoder {
             why: why.to_string(),
         };
         limits::check(&spec.onnx).map_err(|why| broken(&why))?;
-        // Shapes written in the file may name its own batch or size; they are inferred anew from ours.
+        // Shapes in the file may be for another batch or size; they are inferred again from our input.
         let onnx = tract_onnx::onnx()
             .with_ignore_output_shapes(true)
             .with_ignore_value_info(true);
@@ -286,7 +287,7 @@ impl Encoder {
         })
     }
 
-    /// What computes it, for people.
+    /// Name of what computes the model, for people.
     pub fn executor(&self) -> String {
         match &self.engine {
             Engine::Own(plan) => format!("own, {}", plan.kernel.name()),
@@ -294,7 +295,8 @@ impl Encoder {
         }
     }
 
-    /// Products of weights and activations in the convolutions of one picture; `None` of a model that runs in tract.
+    /// Number of products of weights and activations in the convolutions of one picture; `None` for a model that runs
+    /// in tract.
     pub fn products(&self) -> Option<u64> {
         match &self.engine {
             Engine::Own(plan) => Some(plan.products),
@@ -360,11 +362,11 @@ enum State {
 }
 
 impl EncoderSession {
-    /// Runs the encoder on `[3, H, W]` normalised RGB; the feature maps come in the order of the taps, the lane head's
-    /// logits `[1, H, W]` last if it was loaded. Our own executor allocates nothing.
+    /// Runs the encoder on `[3, H, W]` normalised RGB. The feature maps are in the order of the taps, followed by the
+    /// lane head's logits `[1, H, W]` if it was loaded. Our own executor allocates nothing.
     ///
     /// # Errors
-    /// The reason in words when the input has another size or tract fails.
+    /// The reason as text if the input has another size or if tract fails.
     pub fn run(&mut self, input: &[f32]) -> Result<FeatureMaps<'_>, String> {
         if input.len() != self.input_shape.iter().product::<usize>() {
             let [_, channels, height, width] = self.input_shape;
@@ -424,7 +426,7 @@ fn own_plan(model: &TypedModel, name: &str) -> Option<Plan> {
         .ok()
 }
 
-/// Whether our plan answers a picture of noise as tract does.
+/// Whether our plan gives the same result as tract for a picture of noise.
 fn agrees(plan: &Plan, tract: &Arc<TypedRunnableModel>, shape: &[usize; 4], name: &str) -> bool {
     let compare = || {
         let picture = noise(shape.iter().product());
@@ -454,7 +456,7 @@ fn agrees(plan: &Plan, tract: &Arc<TypedRunnableModel>, shape: &[usize; 4], name
     }
 }
 
-/// Largest difference between activations as a share of the largest; infinite when some are not finite.
+/// Largest difference between activations as a share of the largest activation; infinite if some are not finite.
 fn difference(ours: &[f32], theirs: &[f32]) -> f32 {
     let largest = theirs.iter().fold(f32::MIN_POSITIVE, |m, v| m.max(v.abs()));
     let apart = ours.iter().zip(theirs).fold(0.0_f32, |most, (a, b)| {
@@ -471,7 +473,7 @@ fn difference(ours: &[f32], theirs: &[f32]) -> f32 {
     }
 }
 
-/// Values from -2 to 2, the range of a normalised picture; always the same.
+/// Values from -2 to 2, which is the range of a normalised picture; always the same values.
 fn noise(count: usize) -> Vec<f32> {
     let mut state = 1_u32;
     // A linear congruential generator's upper bits, exact as floats.

@@ -1,9 +1,9 @@
-//! Picture → encoder input: the one place where simulator images and road images are made alike.
+//! Picture → encoder input: the one place where simulator images and road images are brought to the same form.
 //!
-//! Crop, resize by convolution with an antialiased triangle kernel in 32-bit floats (what Pillow calls `BILINEAR` on
-//! float images), scale to 0..1, normalise; of a camera's own format only what is left after resizing is turned into RGB. No
-//! 8-bit rounding lies between the picture and the encoder. How a picture is resized moves every statistic taken from it,
-//! so the kernel is part of a reference's fingerprint.
+//! The steps are: crop, resize by convolution with an antialiased triangle kernel in 32-bit floats (Pillow's `BILINEAR`
+//! on float images), scale to 0..1, and normalise. A camera's own format is converted to RGB after resizing. There is
+//! no 8-bit rounding between the picture and the encoder. The way in which a picture is resized changes every statistic
+//! of it, so the kernel is part of a reference's fingerprint.
 
 mod resampling;
 
@@ -22,11 +22,11 @@ pub const RESIZE_KERNEL: &str = "antialiased bilinear, 32-bit float";
 
 /// Smallest side of a picture that is judged, pixels.
 const SIDE_MIN: u32 = 16;
-/// A picture whose brightest value is at most this is black: a capped lens or a dead sensor, not a night (the darkest
-/// rendered night shows headlights and sensor noise above 60).
+/// A picture whose brightest value is at most this is black, because of a lens cap or a dead sensor. It is not a night:
+/// the darkest rendered night shows headlights and sensor noise above 60.
 const BLACK_MAX: u8 = 8;
 
-/// What the encoder expects of a picture.
+/// How the encoder expects a picture.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Preprocessing {
@@ -34,11 +34,11 @@ pub struct Preprocessing {
     pub width: u32,
     /// Height of the encoder's input, pixels.
     pub height: u32,
-    /// Subtracted from red, green, blue after scaling to 0..1.
+    /// Mean that is subtracted from red, green and blue after scaling to 0..1.
     pub mean: [f32; 3],
-    /// Divides red, green, blue after that.
+    /// Standard deviation by which red, green and blue are then divided.
     pub std: [f32; 3],
-    /// Part of the picture used: left, top, width, height as shares of the picture.
+    /// Part of the picture that is used: left, top, width and height, as shares of the picture.
     pub crop: [f64; 4],
 }
 
@@ -59,7 +59,7 @@ impl std::fmt::Display for Preprocessing {
 }
 
 impl Preprocessing {
-    /// A value of 0..255 as the encoder expects it.
+    /// Normalises a value of 0..255.
     #[inline(always)]
     fn normalised(&self, channel: usize, value: f32) -> f32 {
         (value / 255.0 - self.mean[channel]) / self.std[channel]
@@ -73,9 +73,9 @@ pub const CROP_NOTHING: [f64; 4] = [0.0, 0.0, 1.0, 1.0];
 pub struct Preprocessor {
     of: Preprocessing,
     kernel: Vectors,
-    /// For pictures of this layout.
+    /// The plan for pictures of this layout.
     plan: Option<(Layout, Plan)>,
-    /// Some output rows before and after their columns are summed up.
+    /// Some output rows before their columns are summed up.
     wide: Vec<Column>,
     short: [Vec<Column>; 3],
     input: Vec<f32>,
@@ -87,7 +87,7 @@ struct Plan {
     colours: Colours,
 }
 
-/// Channels whose bytes lie in the same rows.
+/// Channels whose bytes are in the same rows.
 struct Band {
     /// Bytes before its first row.
     origin: usize,
@@ -114,7 +114,7 @@ enum Colours {
 }
 
 impl Preprocessor {
-    /// For one encoder's expectations.
+    /// A preprocessor for one encoder.
     pub fn new(of: &Preprocessing) -> Self {
         let width = of.width as usize;
         Self {
@@ -127,10 +127,11 @@ impl Preprocessor {
         }
     }
 
-    /// Encoder input `[3, height, width]` of a picture of any size, normalised RGB. Allocates only when the layout changes.
+    /// Encoder input `[3, height, width]`, normalised RGB, from a picture of any size. Allocates only if the layout
+    /// changes.
     ///
     /// # Errors
-    /// `TooSmall`, `Black` or `Uniform` when the picture holds nothing to look at.
+    /// `TooSmall`, `Black` or `Uniform` if nothing can be seen in the picture.
     pub fn input(&mut self, pixels: &Pixels) -> Result<&[f32], Undefined> {
         check(pixels)?;
         let layout = pixels.layout();
@@ -213,7 +214,7 @@ impl Plan {
         let (bands, colours) = match layout.format {
             PixelFormat::Yuyv => {
                 let pairs = columns.of_pairs();
-                // Whole pairs of pixels, so that colours stay in their places.
+                // Whole pairs of pixels, so that colours stay at their pixels.
                 let needed = pairs.inputs();
                 let band = Band::new(0, 4, needed, rows)
                     .with(0, 0, 2, &columns)
@@ -251,13 +252,13 @@ impl Plan {
 #[allow(clippy::cast_precision_loss)]
 fn axis(from: f64, length: f64, full: usize, outputs: usize) -> Axis {
     let side = full as f64;
-    // Rounding must not push the crop over the picture's edge.
+    // Rounding must not move the crop over the picture's edge.
     let (from, length) = (from * side, (length * side).min(side - from * side));
     Axis::new(from, length, full, outputs)
 }
 
 impl Band {
-    /// Rows of groups of `group` bytes, of which `needed` are looked at.
+    /// Rows of groups of `group` bytes, where only the groups `needed` are read.
     fn new(origin: usize, group: usize, needed: Range<usize>, rows: Axis) -> Self {
         Self {
             origin,
@@ -267,7 +268,7 @@ impl Band {
         }
     }
 
-    /// With a channel that lies in every `step`-th byte from `first` on.
+    /// Adds a channel that is in every `step`-th byte from `first` on.
     fn with(mut self, index: usize, first: usize, step: usize, of: &Axis) -> Self {
         let skipped = self.columns.start / step;
         self.channels.push(Channel {
@@ -281,7 +282,7 @@ impl Band {
 }
 
 impl Preprocessor {
-    /// What the encoder saw of the last picture: cropped and resized, in 8 bits.
+    /// The last picture as the encoder saw it: cropped and resized, in 8 bits.
     pub fn seen(&self) -> Picture {
         let plane = self.of.width as usize * self.of.height as usize;
         let mut rgb = Vec::with_capacity(3 * plane);
@@ -301,7 +302,7 @@ impl Preprocessor {
     }
 }
 
-/// Refuses pictures that no road makes.
+/// Refuses pictures that no road can produce.
 fn check(pixels: &Pixels) -> Result<(), Undefined> {
     let Layout { width, height, .. } = pixels.layout();
     if width.min(height) < SIDE_MIN {
@@ -361,7 +362,7 @@ mod tests {
 
     #[test]
     fn halving_averages_neighbours_with_the_triangle_kernel() {
-        // One white column: the kernel of width 4 weighs it 3/8 in its own output column and 1/8 in the next.
+        // One white column: the kernel of width 4 gives it the weight 3/8 in its own output column and 1/8 in the next.
         let picture = picture(64, 32, |x, _| if x == 21 { [255; 3] } else { [0; 3] });
         let mut preprocessor = Preprocessor::new(&of(32, 16));
         let input = preprocessor.input(&picture).unwrap();
@@ -395,7 +396,7 @@ mod tests {
             of_crop.input(&whole).unwrap(),
             of_part.input(&lower).unwrap(),
         );
-        // The kernel of the first row reaches over the edge of the crop, into pixels that are there.
+        // The kernel of the first row reaches over the edge of the crop, into pixels of the picture.
         for row in (1..16).chain(17..32).chain(33..48) {
             let cells = row * 32..row * 32 + 32;
             assert!(
@@ -405,7 +406,7 @@ mod tests {
         }
     }
 
-    /// Pixels of moderate colours, of odd sizes, in every format.
+    /// Pixels with moderate colours and odd sizes, in every format.
     fn in_every_format(width: usize, height: usize) -> Vec<Pixels> {
         let noise = |n: usize| (n * 7_919 + n / 13 * 104_729) % 50;
         let byte = |n: usize| u8::try_from(100 + noise(n)).unwrap();

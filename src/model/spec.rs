@@ -7,7 +7,7 @@ use crate::files::toml_keys::{self, Document, Wrong};
 use crate::files::whole_file::{read_text, read_whole};
 use crate::model::preprocess::{CROP_NOTHING, Preprocessing};
 
-/// Most taps a model may have: the CAN message carries this many block scores.
+/// Largest number of taps of a model: the CAN message has room for this many block scores.
 pub const TAPS_MAX: usize = 3;
 
 /// Largest ONNX file: a hundred times the largest lane model that is shipped, and more than a ResNet-101.
@@ -28,13 +28,13 @@ pub struct ModelSpec {
     pub onnx: Cow<'static, [u8]>,
     /// Names of the tapped values, 1 to [`TAPS_MAX`].
     pub taps: Vec<String>,
-    /// Name of the lane head's output, if it is known: a logit a pixel of the input.
+    /// Name of the lane head's output, if it is known: one logit for each pixel of the input.
     pub lane: Option<String>,
     /// Size, crop and normalisation of the input.
     pub preprocessing: Preprocessing,
 }
 
-/// What a user says about a model; the same words as flags and in a `.toml` beside the ONNX file.
+/// What a user says about a model, with flags or in a `.toml` file beside the ONNX file; the keys are the same.
 #[derive(Clone, Debug, Default)]
 pub struct ModelOptions {
     /// Names of the tapped values.
@@ -43,11 +43,11 @@ pub struct ModelOptions {
     pub lane: Option<String>,
     /// Input size, `WxH` pixels.
     pub size: Option<String>,
-    /// Mean of red, green, blue, of values 0..1.
+    /// Mean of red, green and blue, for values from 0 to 1.
     pub mean: Option<[f32; 3]>,
-    /// Standard deviation of red, green, blue, of values 0..1.
+    /// Standard deviation of red, green and blue, for values from 0 to 1.
     pub std: Option<[f32; 3]>,
-    /// Part of the picture used: left, top, width, height as shares of the picture.
+    /// Part of the picture that is used: left, top, width and height, as shares of the picture.
     pub crop: Option<[f64; 4]>,
 }
 
@@ -62,14 +62,14 @@ pub enum ModelError {
         /// Why.
         error: std::io::Error,
     },
-    /// Something in the options beside the model is not understood.
+    /// Something in the file of options is not understood.
     #[error("{}:{line}: {what}", path.display())]
     Options {
         /// Which file.
         path: PathBuf,
         /// Line, from 1.
         line: usize,
-        /// What was found and what would do.
+        /// What was found and what was wanted.
         what: String,
     },
     /// Something is missing or out of range.
@@ -83,7 +83,7 @@ pub enum ModelError {
 }
 
 impl ModelOptions {
-    /// These options, and where they are silent, those of `other`.
+    /// These options, completed with those of `other`.
     fn or(self, other: Self) -> Self {
         Self {
             taps: self.taps.or(other.taps),
@@ -97,7 +97,7 @@ impl ModelOptions {
 }
 
 impl ModelSpec {
-    /// The model inside the program, or the user's, with the user's options over those of its `.toml`.
+    /// The model inside the program, or a user's model. Options that were typed replace those of its `.toml` file.
     ///
     /// # Errors
     /// When a file cannot be read, or an option is missing or out of range.
@@ -145,7 +145,7 @@ impl ModelSpec {
         }
         if let Some(lane) = options.lane.as_ref().filter(|lane| taps.contains(lane)) {
             return Err(wrong(format!(
-                "the lane output {lane} is one of the taps; wanted another"
+                "the lane output {lane} is one of the taps; wanted another output"
             )));
         }
         let size = options.size.ok_or_else(|| {
@@ -155,7 +155,7 @@ impl ModelSpec {
             sides(&size).ok_or_else(|| wrong(format!("size {size}; wanted {SIZE}")))?;
         let (Some(mean), Some(std)) = (options.mean, options.std) else {
             return Err(missing(
-                "no normalisation; wanted --mean r,g,b and --std r,g,b of values 0..1, or both in a .toml beside it",
+                "no normalisation; wanted --mean r,g,b and --std r,g,b for values from 0 to 1, or both in a .toml beside it",
             ));
         };
         if !is_mean(&mean) {
@@ -222,11 +222,12 @@ fn parse_options(text: &str) -> Result<ModelOptions, Wrong> {
     })
 }
 
-/// What would do for each option.
+/// What is wanted for each option.
 const TAPS: &str = "one to three distinct names of values";
 const SIZE: &str = "WxH pixels, each from 16 to 4096";
-const MEAN: &str = "three means from 0 to 1, of values 0..1 (divide by 255)";
-const STD: &str = "three standard deviations above 0 up to 1, of values 0..1 (divide by 255)";
+const MEAN: &str = "three means from 0 to 1, for values from 0 to 1 (divide by 255)";
+const STD: &str =
+    "three standard deviations above 0 up to 1, for values from 0 to 1 (divide by 255)";
 const CROP: &str = "left, top, width and height inside the picture, as shares from 0 to 1";
 
 fn are_taps(taps: &[String]) -> bool {

@@ -1,4 +1,4 @@
-//! Which vector instructions this processor has, and work done with them.
+//! The vector instructions of this processor, and how to use them.
 #![allow(unsafe_code)]
 
 #[cfg(target_arch = "x86_64")]
@@ -13,12 +13,12 @@ pub enum Vectors {
     /// 256-bit vectors with fused products.
     #[cfg(target_arch = "x86_64")]
     Avx2,
-    /// What every processor of this architecture has; the compiler chooses the instructions.
+    /// Instructions of every processor of this architecture; the compiler chooses them.
     Portable,
 }
 
 impl Vectors {
-    /// All that this processor can run, fastest first.
+    /// All sets that this processor has, the fastest first.
     pub fn available() -> Vec<Self> {
         let all = [
             #[cfg(target_arch = "x86_64")]
@@ -32,7 +32,7 @@ impl Vectors {
             .collect()
     }
 
-    /// The fastest that this processor can run. Allocates nothing.
+    /// The fastest set that this processor has. Allocates nothing.
     pub fn fastest() -> Self {
         #[cfg(target_arch = "x86_64")]
         for vectors in [Self::Avx512, Self::Avx2] {
@@ -57,7 +57,7 @@ impl Vectors {
         }
     }
 
-    /// For people.
+    /// Name for people.
     pub fn name(self) -> &'static str {
         match self {
             #[cfg(target_arch = "x86_64")]
@@ -68,12 +68,12 @@ impl Vectors {
         }
     }
 
-    /// Does some work with the vectors of these instructions, as far as the compiler finds them in it: what is inlined into the
-    /// work is compiled for them.
+    /// Does some work with these vector instructions, as far as the compiler can use them: everything that is inlined
+    /// into the work is compiled for them.
     #[inline]
     pub fn vectorised(self, work: impl FnOnce()) {
         match self {
-            // SAFETY: AVX-512 and AVX2 come from `available` and `fastest` alone, which have asked the processor.
+            // SAFETY: AVX-512 and AVX2 come only from `available` and `fastest`, which have asked the processor.
             #[cfg(target_arch = "x86_64")]
             Self::Avx512 => unsafe { x86::with_avx512(work) },
             // SAFETY: as above.
@@ -84,7 +84,7 @@ impl Vectors {
     }
 }
 
-/// Rows and columns exchanged.
+/// The transposed square.
 #[inline(always)]
 pub fn turned(square: [[f32; 4]; 4]) -> [[f32; 4]; 4] {
     #[cfg(target_arch = "x86_64")]

@@ -1,16 +1,17 @@
-//! Intervals by resampling: drawing as many things as there are, with replacement, again and again.
+//! Intervals by resampling: draws as many items as there are, with replacement, many times.
 
 use super::random::SplitMix64;
 
-/// Resamples drawn for an interval: the ends of a 95 % interval then rest on 25 each.
+/// Number of resamples for an interval: at each end of a 95 % interval, 25 resamples are outside.
 pub const ROUNDS: usize = 1_000;
 
-/// 95 % percentile interval of what resamples gave; `None` of none.
+/// 95 % percentile interval of the values of resamples; `None` without values.
 pub fn percentile_interval(values: Vec<f64>) -> Option<(f64, f64)> {
     percentiles(values, 25, 975)
 }
 
-/// One-sided 95 % bounds of what resamples gave, each alone: 5 % lie below the first, 5 % above the second. `None` of none.
+/// One-sided 95 % bounds of the values of resamples: 5 % are below the first bound, and 5 % above the second. `None`
+/// without values.
 pub fn one_sided_bounds(values: Vec<f64>) -> Option<(f64, f64)> {
     percentiles(values, 50, 950)
 }
@@ -21,8 +22,8 @@ fn percentiles(mut values: Vec<f64>, low: usize, high: usize) -> Option<(f64, f6
     Some((*values.get(low)?, *values.get(high.saturating_sub(1))?))
 }
 
-/// Events an hour of resampled drives, given as events and hours of each; the same for the same drives on every machine.
-/// Drives without hours are left out.
+/// Events an hour of resampled drives, which are given as events and hours of each drive. The result is the same for
+/// the same drives on every machine. Drives without hours are left out.
 pub fn rates(drives: &[(u64, f64)]) -> Vec<f64> {
     let drives: Vec<(u64, f64)> = drives.iter().copied().filter(|of| of.1 > 0.0).collect();
     if drives.is_empty() {
@@ -60,7 +61,8 @@ mod tests {
 
     #[test]
     fn resampled_rates_are_of_the_hours_that_were_drawn() {
-        // The rate of every drive is 2 an hour, so that of all resamples is too; a drive without hours says nothing.
+        // The rate of every drive is 2 an hour, so the rate of all resamples is too; a drive without hours does not
+        // count.
         let drives = [(1, 0.5), (2, 1.0), (8, 4.0), (0, 0.0)];
         let found = rates(&drives);
         assert_eq!(

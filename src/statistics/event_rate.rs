@@ -1,29 +1,29 @@
-//! How often something happens: bounds of a rate from a count, and what they say of a rate that was asked for.
+//! How often something happens: bounds of a rate from a count, and what they say about a rate that was asked for.
 
 use std::fmt;
 
-/// Chance that a rate lies beyond a one-sided bound.
+/// Probability that a rate is beyond a one-sided bound.
 const BEYOND: f64 = 0.05;
 /// The same for each end of a two-sided 95 % interval.
 const BEYOND_EACH_END: f64 = 0.025;
 
-/// What a count says of the rate that was asked for.
+/// What a count says about the rate that was asked for.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Loudness {
-    /// The upper bound of the rate is at most the rate asked for.
+    /// The upper bound of the rate is at most the rate that was asked for.
     NotLouder,
-    /// The lower bound of the rate is above the rate asked for.
+    /// The lower bound of the rate is above the rate that was asked for.
     Louder,
-    /// Neither.
+    /// Neither is the case.
     NotShown {
-        /// Hours more without an entry after which the same upper bound on the number of entries would show that the rate
-        /// is not louder than asked.
+        /// Number of further hours without an entry after which the same upper bound on the number of entries would
+        /// show that the rate is not louder than asked.
         missing_hours: f64,
     },
 }
 
 impl Loudness {
-    /// The word used everywhere.
+    /// The words, which are the same everywhere.
     pub fn name(self) -> &'static str {
         match self {
             Self::NotLouder => "not louder than asked",
@@ -37,16 +37,17 @@ impl Loudness {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CountedRate {
     hours: f64,
-    /// Bounds of the number of entries in those hours, each alone.
+    /// One-sided bounds of the number of entries in those hours.
     fewest: f64,
     most: f64,
-    /// `most` is that of independent entries (Poisson, exact).
+    /// Whether `most` is the bound for independent entries (Poisson, exact).
     independent: bool,
 }
 
 impl CountedRate {
-    /// The rate of so many entries in so many judged hours. Its bounds are those of independent entries (Poisson, exact), or
-    /// those from resampling drives, `resampled`, entries an hour, where these are wider: entries come together in drives.
+    /// The rate of `entries` in judged `hours`. Its bounds are those of independent entries (Poisson, exact), or those
+    /// from resampling drives (`resampled`, entries an hour) if these are wider, because entries of a drive depend on
+    /// each other.
     pub fn new(entries: u64, hours: f64, resampled: Option<(f64, f64)>) -> Self {
         let (fewest, most) = poisson_bounds(entries, BEYOND);
         let (low, high) =
@@ -64,7 +65,7 @@ impl CountedRate {
         (self.hours > 0.0).then(|| (self.fewest / self.hours, self.most / self.hours))
     }
 
-    /// What it says of a rate asked for, entries an hour.
+    /// What it says about the rate `asked`, entries an hour.
     pub fn loudness(&self, asked: f64) -> Loudness {
         match self.bounds() {
             Some((_, upper)) if upper <= asked => Loudness::NotLouder,
@@ -75,7 +76,7 @@ impl CountedRate {
         }
     }
 
-    /// The word with the bound that it rests on, or with what is missing.
+    /// The words with the bound on which they are based, or with what is missing.
     pub fn said(&self, asked: f64) -> String {
         let word = self.loudness(asked).name();
         let bounds = self
@@ -96,13 +97,13 @@ impl CountedRate {
             (Loudness::Louder, Some((lower, _))) => {
                 format!("{word}: at least {lower} an hour (95 %)")
             }
-            // Without hours nothing is shown.
+            // Without hours, nothing is shown.
             (_, None) => word.to_owned(),
         }
     }
 
-    /// What is missing before the rate is shown not to be louder than asked; `None` when nothing is missing. `about` where
-    /// entries came together in drives, since their bound moves a little with more drives.
+    /// What is missing to show that the rate is not louder than asked; `None` if nothing is missing. It says `about` if
+    /// several entries came from the same drives, because their bound moves a little with more drives.
     pub fn missing(&self, asked: f64) -> Option<String> {
         let Loudness::NotShown { missing_hours } = self.loudness(asked) else {
             return None;
@@ -116,8 +117,8 @@ impl CountedRate {
     }
 }
 
-/// Exact two-sided 95 % interval of a rate from `events` in `hours` (Garwood 1936); from 0 without events, to the bound at which none
-/// has a chance of 2.5 %.
+/// Exact two-sided 95 % interval of a rate from `events` in `hours` (Garwood 1936); without events, it is from 0 to the
+/// bound at which no event has a probability of 2.5 %.
 pub fn poisson_interval(events: u64, hours: f64) -> (f64, f64) {
     if hours <= 0.0 {
         return (0.0, f64::MAX);
@@ -126,12 +127,12 @@ pub fn poisson_interval(events: u64, hours: f64) -> (f64, f64) {
     (fewest / hours, most / hours)
 }
 
-/// The expectations between which `events` events are no surprise: below the first so many or more, above the second so few
-/// or fewer, have a chance of less than `beyond`. The first is 0 without events.
+/// The bounds of the expectation for `events` events: below the first bound, this number or more has a probability of
+/// less than `beyond`; above the second bound, this number or fewer does. The first bound is 0 without events.
 #[allow(clippy::cast_precision_loss)]
 fn poisson_bounds(events: u64, beyond: f64) -> (f64, f64) {
     let log_factorial = |n: u64| (1..=n).map(|i| (i as f64).ln()).sum::<f64>();
-    // Chance of at most `events` events at an expectation of `mean`, summed from its last term down.
+    // Probability of at most `events` events at an expectation of `mean`, summed from its last term down.
     let at_most = |events: u64, log_factorial: f64, mean: f64| -> f64 {
         let log_last = events as f64 * mean.ln() - mean - log_factorial;
         let mut term = log_last.exp();
@@ -139,7 +140,7 @@ fn poisson_bounds(events: u64, beyond: f64) -> (f64, f64) {
         for n in (1..=events).rev() {
             term *= n as f64 / mean;
             sum += term;
-            // Terms fall from here on, and none is seen in the sum.
+            // Terms fall from here on, and no longer change the sum.
             if (n as f64) < mean && term < 1e-20 * sum {
                 break;
             }
@@ -147,7 +148,7 @@ fn poisson_bounds(events: u64, beyond: f64) -> (f64, f64) {
         sum
     };
     let solved = |target: &dyn Fn(f64) -> bool| {
-        // Not so far away that a chance is too small for a number.
+        // Not so far away that a probability underflows.
         let (most_likely, far) = (events as f64, 10.0 * (events as f64).sqrt() + 13.0);
         let (mut low, mut high) = ((most_likely - far).max(1e-9), most_likely + far);
         for _ in 0..100 {
@@ -171,7 +172,7 @@ fn poisson_bounds(events: u64, beyond: f64) -> (f64, f64) {
     (fewest, most)
 }
 
-/// A length of time, hours, in a unit in which it can be read.
+/// A duration in hours, shown in a readable unit.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Hours(pub f64);
 
@@ -184,7 +185,7 @@ impl Hours {
         }
     }
 
-    /// The same, to the next tenth of that unit above it.
+    /// The same, rounded up to the next tenth of that unit.
     fn rounded_up(self) -> String {
         let (value, unit) = self.in_unit();
         format!(
@@ -201,7 +202,7 @@ impl fmt::Display for Hours {
     }
 }
 
-/// A number of 0 and more with three digits that count.
+/// A number from 0 on, shown with three significant digits.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ThreeDigits(pub f64);
 
@@ -210,7 +211,7 @@ impl fmt::Display for ThreeDigits {
         if self.0 <= 0.0 {
             return f.write_str("0");
         }
-        // The place of the first digit is a small number, and not negative after the clamp.
+        // The position of the first digit is a small number, and not negative after the clamp.
         #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)]
         let decimals = (2.0 - self.0.log10().floor()).clamp(0.0, 15.0) as usize;
         write!(f, "{:.decimals$}", self.0)
@@ -253,7 +254,7 @@ mod tests {
             assert_near(2.0 * lower, fewest);
             assert_near(2.0 * upper, most);
         }
-        // Of many the normal distribution knows the ends: a million and 1.645 thousand more or less.
+        // For many entries, the normal distribution gives the ends: a million plus or minus 1.645 thousand.
         let (lower, upper) = CountedRate::new(1_000_000, 1.0, None).bounds().unwrap();
         assert!((998_350.0..998_361.0).contains(&lower), "{lower}");
         assert!((1_001_640.0..1_001_652.0).contains(&upper), "{upper}");

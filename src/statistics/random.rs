@@ -1,10 +1,10 @@
-//! Random numbers that are the same for a seed on every machine.
+//! Random numbers that are the same for the same seed on every machine.
 
 /// Random numbers after Steele, Lea and Flood, *Fast Splittable Pseudorandom Number Generators* (2014).
 pub struct SplitMix64(u64);
 
 impl SplitMix64 {
-    /// Numbers of a seed.
+    /// A generator with a seed.
     pub fn new(seed: u64) -> Self {
         Self(seed)
     }
@@ -14,7 +14,7 @@ impl SplitMix64 {
         self.bits().to_be_bytes()[0]
     }
 
-    /// How often each of `count` things comes when as many are drawn with replacement.
+    /// How often each of `count` items is drawn if `count` items are drawn with replacement.
     pub fn multiplicities(&mut self, count: usize) -> Vec<u32> {
         let mut times = vec![0; count];
         for _ in 0..count {
@@ -32,7 +32,7 @@ impl SplitMix64 {
         z ^ (z >> 31)
     }
 
-    /// Uniform from 0 to below `limit`.
+    /// Uniform from 0 to `limit` - 1.
     pub fn below(&mut self, limit: usize) -> usize {
         // The high half of a 64 by 64 bit product is below `limit`.
         #[allow(clippy::cast_possible_truncation)]

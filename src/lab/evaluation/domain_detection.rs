@@ -1,4 +1,5 @@
-//! How soon, and how often, an event that leaves the domain is entered as `Gap`, on drives that nothing was tuned on.
+//! How soon and how often the monitor enters `Gap` after an event that leaves the domain, on drives that were not used
+//! for tuning.
 
 use serde::{Deserialize, Serialize};
 
@@ -10,13 +11,14 @@ use crate::monitor::alarm::AlarmState;
 
 /// Frames a second of the drives.
 const FPS: f64 = 4.0;
-/// When a condition has reached its severity, or another look or noise begins, seconds; conditions grow for 2 s before.
+/// Onset of an event, seconds: a condition has reached its severity, or another look or noise begins. Conditions grow
+/// for 2 s before.
 const ONSET_S: f64 = 5.0;
-/// An event counts as found when `Gap` is entered at most this long after its onset.
+/// An event counts as found if `Gap` is entered at most this long after its onset.
 pub const WITHIN_S: f64 = 2.0;
 /// Length of the drives.
 const SECONDS: f64 = ONSET_S + 3.0;
-/// First seed of the drives: no calibration, training or other evaluation has them.
+/// First seed of the drives, which are not used in any calibration, training or other evaluation.
 pub const FIRST_SEED: u64 = 50_001;
 
 /// Something that leaves the domain.
@@ -31,7 +33,7 @@ pub enum Event {
 }
 
 impl Event {
-    /// Every condition at severities 1 to 5, every look but the nominal one, and noise.
+    /// Every condition with severities 1 to 5, every look except the nominal one, and noise.
     pub fn all(nominal: Look) -> Vec<Self> {
         let conditions = ConditionKind::ALL
             .into_iter()
@@ -51,7 +53,7 @@ impl Event {
         }
     }
 
-    /// The event on the drive of a number.
+    /// The event on the drive with this number.
     pub fn script(self, nominal: Look, number: u64) -> Script {
         let seed = FIRST_SEED + number;
         let drive = |look: Look, conditions: Vec<Condition>| Shown::Drive {
@@ -84,10 +86,10 @@ impl Event {
         }
     }
 
-    /// From when on an entry counts, seconds.
+    /// Time from which on an entry counts, seconds.
     fn begins_s(self) -> f64 {
         match self {
-            // Its portal is in sight for longer than the drive before it is reached.
+            // The portal of a tunnel can be seen during the whole drive before it is reached.
             Self::Condition(ConditionKind::Tunnel, _) => 0.0,
             Self::Condition(..) => ONSET_S - crate::lab::scene::RAMP_S,
             Self::Look(_) | Self::Noise => ONSET_S,
@@ -102,27 +104,27 @@ pub struct Detection {
     pub nominal: String,
     /// Kind of condition, look, or `random`.
     pub event: String,
-    /// Of a condition, 1 to 5.
+    /// Severity of a condition, 1 to 5.
     pub severity: Option<u8>,
-    /// Entries into `Gap` an hour of nominal driving that the thresholds are made for.
+    /// Entries into `Gap` an hour of nominal driving for which the thresholds are made.
     pub false_alarms_per_hour: f64,
-    /// Drives with the event.
+    /// Number of drives with the event.
     pub drives: u64,
-    /// Drives that entered `Gap` from its beginning to 2 s after its onset.
+    /// Drives that entered `Gap` between its beginning and 2 s after its onset.
     pub found: u64,
-    /// Share of them.
+    /// Share of these drives.
     pub found_share: f64,
     /// 95 % interval of the share (Wilson).
     pub interval: (f64, f64),
-    /// Drives that were in `Gap` already when it began.
+    /// Drives that were already in `Gap` when the event began.
     pub alarmed_before: u64,
     /// Drives that reported a fault of the sensor instead.
     pub sensor_fault: u64,
-    /// The others.
+    /// All other drives.
     pub missed: u64,
-    /// Median time from onset to `Gap` of those found, seconds; negative while the condition was still growing.
+    /// Median time from onset to `Gap` of the events found, seconds; negative if the condition was still growing.
     pub delay_median_s: Option<f64>,
-    /// The longest.
+    /// Longest time from onset to `Gap`.
     pub delay_max_s: Option<f64>,
 }
 
@@ -133,7 +135,8 @@ enum Outcome {
     Missed,
 }
 
-/// Judges the drives of one event at a rate, whose thresholds are `factor` times those that the scores were made with.
+/// Judges the drives of one event at a rate for which the thresholds are `factor` times as far from their medians as
+/// those of the scores.
 pub fn detection(
     nominal: Look,
     event: Event,
@@ -205,7 +208,7 @@ mod tests {
     use super::*;
     use crate::monitor::alarm::Reason;
 
-    /// Scores at 4 frames a second: 0.1 up to a time, then another.
+    /// Scores at 4 frames a second: 0.1 up to a time, then another score.
     fn drive(from_s: f64, score: Option<f64>) -> DriveScores {
         let mut drive = DriveScores::default();
         for i in 0..32_u32 {
@@ -237,7 +240,7 @@ mod tests {
             found.sensor_fault,
             found.missed,
         );
-        // The second one enters Gap 2.5 s after the onset, too late.
+        // The second drive enters Gap 2.5 s after the onset, which is too late.
         assert_eq!(counted, (1, 1, 1, 2));
         assert!(
             (0.75..=1.25).contains(&found.delay_median_s.unwrap()),

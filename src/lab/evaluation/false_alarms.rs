@@ -1,4 +1,4 @@
-//! Entries into `Gap` on hours of nominal drives that nothing was tuned on.
+//! Entries into `Gap` on hours of nominal drives that were not used for tuning.
 
 use serde::{Deserialize, Serialize};
 
@@ -15,7 +15,7 @@ pub const DRIVE_S: f64 = 300.0;
 /// First seed of the drives.
 pub const FIRST_SEED: u64 = 100_001;
 
-/// The nominal drive of a number.
+/// The nominal drive with this number.
 pub fn script(nominal: Look, number: u64, seconds: f64) -> Script {
     Script {
         parts: vec![(
@@ -36,37 +36,38 @@ pub fn script(nominal: Look, number: u64, seconds: f64) -> Script {
 pub struct FalseAlarmRate {
     /// The nominal look.
     pub nominal: String,
-    /// Entries an hour that the thresholds are made for.
+    /// Entries an hour for which the thresholds are made.
     pub wanted: f64,
-    /// Entries an hour found; `None` when nothing could be judged.
+    /// Entries an hour that were found; `None` if nothing could be judged.
     pub measured: Option<f64>,
-    /// 95 % interval of the rate: from resampling drives, since a road that is near the threshold enters more than once, and
-    /// never narrower than the exact one of independent entries (Poisson). `None` when nothing could be judged.
+    /// 95 % interval of the rate from resampling drives, because a road near the threshold enters `Gap` more than once.
+    /// It is never narrower than the exact interval of independent entries (Poisson). `None` if nothing could be
+    /// judged.
     pub bound: Option<(f64, f64)>,
-    /// One-sided 95 % bounds of the rate from resampling drives. `None` when nothing could be judged, and in files of older
-    /// versions.
+    /// One-sided 95 % bounds of the rate from resampling drives. `None` if nothing could be judged, and in files of
+    /// older versions.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub resampled: Option<(f64, f64)>,
-    /// Entries.
+    /// Number of entries.
     pub entries: u64,
     /// Drives in which something could be judged.
     pub drives: u64,
-    /// Judged hours in all.
+    /// Total of judged hours.
     pub hours: f64,
 }
 
 impl FalseAlarmRate {
-    /// What the drives say of the wanted rate.
+    /// What the drives say about the wanted rate.
     pub fn loudness(&self) -> Loudness {
         self.counted().loudness(self.wanted)
     }
 
-    /// What is missing before the rate is shown not to be louder than wanted; `None` when nothing is missing.
+    /// What is missing to show that the rate is not louder than wanted; `None` if nothing is missing.
     pub fn missing(&self) -> Option<String> {
         self.counted().missing(self.wanted)
     }
 
-    /// The ends of the two-sided interval stand in for one-sided bounds that are not there: they are wider.
+    /// If one-sided bounds are missing, the ends of the two-sided interval are used instead, which are wider.
     fn counted(&self) -> CountedRate {
         CountedRate::new(self.entries, self.hours, self.resampled.or(self.bound))
     }
@@ -105,7 +106,7 @@ mod tests {
     use super::*;
     use crate::monitor::alarm::Reason;
 
-    /// Drives of a minute, each with so many entries of 3 s, 10 s apart.
+    /// Drives of a minute, each with a number of entries of 3 s that are 10 s apart.
     fn drives(entries: &[u64]) -> Vec<DriveScores> {
         let of = |&entries: &u64| {
             let mut drive = DriveScores::default();
@@ -122,7 +123,7 @@ mod tests {
 
     #[test]
     fn entries_that_come_together_leave_more_doubt_than_single_ones() {
-        // 60 entries in 60 drives, an hour: one each, or five in every fifth.
+        // 60 entries in 60 drives, which are an hour: one in each drive, or five in every fifth drive.
         let single = rate(Look::Sim, &drives(&[1; 60]), 60.0, 1.0);
         let together = rate(Look::Sim, &drives(&[5, 0, 0, 0, 0].repeat(12)), 60.0, 1.0);
         assert_eq!((single.entries, together.entries), (60, 60));
@@ -130,7 +131,7 @@ mod tests {
         assert_eq!(single.bound, Some(exact));
         let bound = together.bound.unwrap();
         assert!(bound.0 < 0.9 * exact.0 && bound.1 > 1.1 * exact.1);
-        // Alone they show that the rate is above 48 or below 74 an hour; together they do not.
+        // Single entries show that the rate is above 48 and below 74 an hour; grouped entries do not.
         let at = |of: &FalseAlarmRate, wanted| {
             FalseAlarmRate {
                 wanted,

@@ -1,9 +1,9 @@
-//! How well each metric tells still sets and short clips of other roads from a reference's own domain, where no rate per
-//! hour exists: windows of `N` images against each other.
+//! How well each metric distinguishes still images and short clips of other roads from a reference's own domain. There
+//! is no rate per hour for these, so windows of `N` images are compared.
 //!
-//! Windows do not overlap and never span two sequences. Every set is cut into blocks of neighbouring images; a window
-//! belongs to the block it begins in, and blocks are what intervals resample. The reference stays as it is: intervals say
-//! what other moments of the same sequences would give, not what other roads would.
+//! Windows do not overlap and never span two sequences. Every set is divided into blocks of neighbouring images. A
+//! window belongs to the block in which it begins, and intervals resample blocks. The reference is not resampled:
+//! intervals say what other moments of the same sequences would give, and not what other roads would give.
 
 use std::mem::discriminant;
 use std::ops::Range;
@@ -21,88 +21,90 @@ use crate::reference::gap::{Metric, frechet};
 use crate::reference::{Nominal, SPREAD_MIN};
 use crate::statistics::quantile::median;
 
-/// Images a window.
+/// Numbers of images in a window.
 pub const WINDOWS: [usize; 3] = [1, 5, 10];
 /// Name of the largest score over the taps.
 pub const FUSED: &str = "fused";
 
-/// SequenceSet of one domain.
+/// Sequences of images of one domain.
 pub struct SequenceSet {
     /// Name of the set.
     pub name: String,
-    /// Each of them.
+    /// The sequences.
     pub sequences: Vec<ImageSequence>,
-    /// Roads or drives that the sequences come from, which is all that a statement about other roads could rest on.
+    /// Number of roads or drives from which the sequences come. A statement about other roads can only be based on this
+    /// number.
     pub drives: usize,
 }
 
-/// Images in order, of which neighbours may show nearly the same.
+/// Images in their order; neighbours may show nearly the same.
 pub struct ImageSequence {
     /// What the encoder saw of them.
     pub survey: Survey,
-    /// Images after which it has forgotten: a block. In a reference a multiple of the largest window.
+    /// Number of images in a block, after which images are independent. In a reference, it is a multiple of the largest
+    /// window.
     pub block_images: usize,
 }
 
-/// A reference, unseen images of its own domain, and others.
+/// A reference, unseen images of its own domain, and other sets.
 pub struct Case<'a> {
-    /// Every second block of it makes histograms or moments, the others scale the taps' gaps against each other.
+    /// Every second block of it makes histograms or moments, and the others scale the gaps of the taps.
     pub reference: &'a SequenceSet,
-    /// What must not be told from it.
+    /// The set that must not be distinguished from it.
     pub nominal: &'a SequenceSet,
-    /// What should be.
+    /// The sets that should be distinguished from it.
     pub shifted: Vec<&'a SequenceSet>,
 }
 
-/// One set against a reference, by one metric and number of images a window.
+/// One set compared with a reference, by one metric and with one number of images in a window.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct FieldSetRow {
     /// The reference.
     pub reference: String,
-    /// Its images that made histograms or moments.
+    /// Number of its images that made histograms or moments.
     pub fitted: usize,
-    /// Its images that scale the taps' gaps.
+    /// Number of its images that scale the gaps of the taps.
     pub scaled: usize,
     /// The nominal set.
     pub nominal: String,
     /// The set.
     pub set: String,
-    /// Images a window.
+    /// Number of images in a window.
     pub images: usize,
     /// The metric.
     pub metric: Metric,
-    /// Nominal windows, without those that have no gap.
+    /// Number of nominal windows, without those that have no gap.
     pub nominal_windows: usize,
-    /// Blocks that they lie in.
+    /// Number of blocks in which they are.
     pub nominal_blocks: usize,
-    /// Roads or drives that they come from.
+    /// Number of roads or drives from which they come.
     pub nominal_drives: usize,
-    /// The set's windows.
+    /// Number of windows of the set.
     pub windows: usize,
-    /// Blocks that they lie in.
+    /// Number of blocks in which they are.
     pub blocks: usize,
-    /// Roads or drives that they come from.
+    /// Number of roads or drives from which they come.
     pub drives: usize,
-    /// Tap by tap, then the largest score over the taps.
+    /// One entry for each tap, and then one for the largest score over the taps.
     pub taps: Vec<TapSeparation>,
 }
 
-/// What one tap, or all together, tell apart.
+/// How well one tap, or all taps together, distinguish the sets.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct TapSeparation {
     /// The tap, or `fused`.
     pub tap: String,
     /// Area under the ROC curve.
     pub auroc: Option<f64>,
-    /// 95 % interval of it.
+    /// Its 95 % interval.
     pub auroc_interval: Option<(f64, f64)>,
     /// Share of the set's windows found at 5 % false positives.
     pub recall: Option<f64>,
-    /// 95 % interval of it.
+    /// Its 95 % interval.
     pub recall_interval: Option<(f64, f64)>,
-    /// Share of nominal windows above that threshold: 0 when there are fewer than 20.
+    /// Share of nominal windows above that threshold; 0 if there are fewer than 20.
     pub false_positives: Option<f64>,
-    /// Why there is nothing, or why some windows are missing.
+    /// Why there is no value, or why some windows are missing.
     pub reason: Option<String>,
 }
 
@@ -111,14 +113,14 @@ type Gaps = Vec<Vec<Result<f64, Undefined>>>;
 
 /// Gaps of one metric and tap.
 struct Measured {
-    /// `[WINDOWS]`, of the reference's windows that scale.
+    /// `[WINDOWS]`, gaps of the reference's windows that scale.
     scale: Vec<Gaps>,
-    /// `[sets][WINDOWS]`, the nominal set first.
+    /// `[sets][WINDOWS]`, with the nominal set first.
     sets: Vec<Vec<Gaps>>,
 }
 
-/// Rows of a case: metric by metric, number of images by number of images, set by set; `seen` is called after each pair of
-/// a tap and a kind of metric, of which [`steps`] says how many there are.
+/// Rows of a case, for each metric, number of images and set. `seen` is called after each pair of a tap and a kind of
+/// metric; [`steps`] gives the number of these pairs.
 ///
 /// # Errors
 /// When an image of the reference cannot be judged.
@@ -158,17 +160,17 @@ pub fn rows(
         .collect())
 }
 
-/// How often `seen` is called for a model with so many taps.
+/// How often `seen` is called for a model with `taps` taps.
 pub fn steps(taps: usize) -> usize {
     kinds(&Metric::of_sets()).count() * taps
 }
 
-/// Metrics that take the same of a frame.
+/// Groups of metrics that take the same from a frame.
 fn kinds(metrics: &[Metric]) -> impl Iterator<Item = &[Metric]> {
     metrics.chunk_by(|a, b| discriminant(a) == discriminant(b))
 }
 
-/// Images of a reference that cannot be judged.
+/// An image of a reference cannot be judged.
 #[derive(Debug, thiserror::Error)]
 #[error("reference {set}, tap {tap}: {why}")]
 pub struct FieldSetError {
@@ -188,7 +190,7 @@ impl ImageSequence {
 }
 
 impl SequenceSet {
-    /// Images of all sequences.
+    /// Number of images of all sequences.
     pub fn images(&self) -> usize {
         let counts = self.sequences.iter().map(|of| of.survey.frames.len());
         counts.sum()
@@ -205,15 +207,15 @@ impl SequenceSet {
     }
 }
 
-/// What a kind of metric takes of the images of one tap.
+/// What a kind of metric takes from the images of one tap.
 enum Kind {
-    /// Counts or levels, summed over a window and compared with nominal ones.
+    /// Counts or levels, which are summed over a window and compared with nominal ones.
     Sums(Nominal),
     /// Channel means of the reference's images.
     Activations(Vec<Vec<f64>>),
 }
 
-/// What was taken of one image.
+/// What was taken from one image.
 enum Taken {
     Numbers(Vec<u32>),
     Activation(Vec<f64>),
@@ -267,7 +269,7 @@ impl Kind {
         }))
     }
 
-    /// What is taken of every image of a sequence.
+    /// What is taken from every image of a sequence.
     fn take(&self, survey: &Survey, tap: usize) -> Vec<Result<Taken, Undefined>> {
         match self {
             Self::Activations(_) => {
@@ -304,7 +306,7 @@ impl Kind {
         }
     }
 
-    /// Gaps of the windows of some blocks, by metric of the kind and number of images.
+    /// Gaps of the windows of some blocks, for each metric of the kind and number of images.
     fn gaps(
         &self,
         of: &SequenceSet,
@@ -322,7 +324,7 @@ impl Kind {
                     continue;
                 }
                 for (window, &images) in WINDOWS.iter().enumerate() {
-                    // Windows follow each other from the sequence's first image on.
+                    // Windows are consecutive from the first image of the sequence on.
                     let starts = (block.start.next_multiple_of(images)..block.end).step_by(images);
                     let windows = starts.filter_map(|from| taken.get(from..from + images));
                     let compared: Vec<Vec<Result<f64, Undefined>>> =
@@ -459,7 +461,7 @@ fn row(
     }
 }
 
-/// Median and threshold of the windows that scale a tap, as references have them: the threshold lies above 99 % of the gaps.
+/// Median and threshold of the windows that scale a tap, as in references: the threshold is above 99 % of the gaps.
 fn scale_of(gaps: &Gaps) -> Result<(f64, f64), Undefined> {
     let mut values: Vec<f64> = gaps
         .iter()
@@ -477,7 +479,7 @@ fn scale_of(gaps: &Gaps) -> Result<(f64, f64), Undefined> {
     }
 }
 
-/// The largest score over the taps, window by window.
+/// The largest score over the taps, for each window.
 fn fused(by_tap: &[&Gaps], scales: &[(f64, f64)]) -> Gaps {
     let Some(first) = by_tap.first() else {
         return Gaps::new();
@@ -527,7 +529,7 @@ impl TapSeparation {
         let Some(found) = separation(&judged(nominal), &judged(shifted)) else {
             return match reason {
                 Some(why) => Self::undefined(tap, why),
-                None => Self::undefined(tap, &"a set has no window of so many images"),
+                None => Self::undefined(tap, &"a set has no window with this number of images"),
             };
         };
         let missing = all().filter(|gap| gap.is_err()).count();

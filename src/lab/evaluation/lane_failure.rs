@@ -1,9 +1,9 @@
-//! Does the gap predict that the lane model fails? Labelled drives under conditions that grow and fade, judged through
-//! every metric and by plainer baselines at the same rates of false alarms.
+//! Does the gap predict that the lane model fails? Labelled drives under conditions that grow and fade are judged with
+//! every metric and with simpler baselines at the same rates of false alarms.
 //!
-//! A second is a failure when the lane IoU is below half of that of the same second in plain day. A drive has one event at
-//! most: the condition grows once. All thresholds come from nominal drives that are judged nowhere, and the forecast
-//! `lane-risk` is also judged under kinds of condition that it was not fitted on.
+//! A second is a failure if its lane IoU is below half of that of the same second on a plain day. A drive has at most
+//! one event, because the condition grows once. All thresholds come from nominal drives that are not judged, and the
+//! forecast `lane-risk` is also judged under kinds of condition to which it was not fitted.
 
 mod method;
 mod row;
@@ -38,9 +38,9 @@ pub use sizes::Sizes;
 const FPS: f64 = 5.0;
 /// Frames a second of the hours of nominal drives that set and judge thresholds.
 const HELD_OUT_FPS: f64 = 2.0;
-/// The condition has its severity from here, having grown for 2 s.
+/// Time from which on the condition has its severity, after growing for 2 s.
 const FULL_S: f64 = 8.0;
-/// It is gone here, having faded for 2 s.
+/// Time at which the condition is gone, after fading for 2 s.
 const GONE_S: f64 = 18.0;
 /// Length of a drive with a condition.
 const DRIVE_S: f64 = 22.0;
@@ -50,19 +50,20 @@ const BEFORE_S: f64 = 5.0;
 const AFTER_S: f64 = 1.0;
 /// Loss of lane IoU that is a failure.
 const FAILURE: f64 = 0.5;
-/// Loss of lane IoU over the whole condition up to which a shift is benign.
+/// Largest loss of lane IoU over the whole condition for a benign drive.
 const BENIGN: f64 = 0.1;
-/// Severity from which on a condition is to be found, failure or not.
+/// Severity from which on a condition should be found, whether there is a failure or not.
 pub(super) const SEVERE: f32 = 3.0;
-/// A warning that comes so long after the onset is late, but comes.
+/// A warning up to this long after the onset counts as late.
 const LATE_S: f64 = 3.0;
-/// Entries into `Gap` an hour of nominal driving at which all are compared.
+/// Entries into `Gap` an hour of nominal driving at which all methods are compared.
 pub const RATES_PER_HOUR: [f64; 2] = [1.0, 0.1];
 
-/// First seeds: drives that make references, that set and judge thresholds, that teach `lane-risk`, and that are judged.
+/// First seeds of the drives: for references, for setting and judging thresholds, for fitting `lane-risk`, and for the
+/// evaluation.
 pub const FIRST_SEEDS: [u64; 4] = [60_001, 61_001, 62_001, 63_001];
 
-/// Seeds of what is rendered, in words.
+/// The seeds of what is rendered, as text.
 pub fn seeds_of(sizes: Sizes) -> String {
     let Sizes {
         fitted,
@@ -88,7 +89,7 @@ pub enum LaneFailureError {
     Calibration(#[from] CalibrationError),
 }
 
-/// Everything that was looked at, once for all methods.
+/// Everything that the encoder saw, once for all methods.
 pub(super) struct Looked {
     taps: Vec<String>,
     pub(super) fitted: Vec<LabelledSurvey>,
@@ -102,17 +103,17 @@ pub(super) struct Judged {
     road: usize,
     pub(super) condition: Condition,
     pub(super) drive: LabelledSurvey,
-    /// Loss of each second; `None` where the lanes are too faint in plain day.
+    /// Loss of each second; `None` if the lanes are too faint on a plain day.
     losses: Vec<Option<f64>>,
-    /// The condition costs next to nothing.
+    /// Whether the condition causes almost no loss.
     benign: bool,
 }
 
-/// Judges every metric that has a window, `lane-risk`, and the baselines. `encoder` must have its lane head; `seen` is
+/// Judges every metric that has a window, `lane-risk`, and the baselines. `encoder` must have a lane head; `seen` is
 /// called after each drive.
 ///
 /// # Errors
-/// When the encoder cannot be run, or nominal drives give a method no thresholds.
+/// When the encoder cannot be run, or when a method gets no thresholds from the nominal drives.
 pub fn rows(
     taps: &[String],
     encoder: &Encoder,
@@ -140,10 +141,10 @@ pub fn rows(
     Ok(rows.concat())
 }
 
-/// Thresholds of a method, and what it says of the drives that judge them.
+/// Thresholds of a method, and its scores of the drives that judge them.
 struct Thresholds {
     components: Vec<Component>,
-    /// By rate, the factor on the thresholds of the components.
+    /// For each rate, the factor on the thresholds of the components.
     factors: Vec<f64>,
 }
 
@@ -221,7 +222,8 @@ impl Looked {
             _ => vec![(None, judge(None)?)],
         };
         let (metric, window_s) = (method.metric(), method.window_s());
-        // One judge a kind; nominal drives are judged by each of them, and the loudest counts.
+        // There is one judge for each kind. Nominal drives are judged by each of them, and the one with the most
+        // entries counts.
         let mut drives: Vec<(&Judged, DriveScores, usize)> = Vec::new();
         for (index, (kind, judge)) in judges.iter().enumerate() {
             for judged in &self.judged {
@@ -342,7 +344,7 @@ impl Judged {
                     (at.as_secs() == second as u64).then_some(overlap)
                 }))
             };
-        // A few tens of seconds.
+        // It is a few tens of seconds.
         #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)]
         let seconds = DRIVE_S as usize;
         let losses = (0..seconds)
@@ -407,7 +409,8 @@ impl Entered {
         self.at_s.iter().any(|&at| at >= onset_s() && at <= GONE_S)
     }
 
-    /// An entry at most 2 s after the condition has its severity. The portal of a tunnel is in sight all the while before.
+    /// An entry at most 2 s after the condition has reached its severity. The portal of a tunnel can be seen during the
+    /// whole time before.
     pub(super) fn soon(&self, kind: ConditionKind) -> Option<f64> {
         let from = match kind {
             ConditionKind::Tunnel => 0.0,
@@ -457,7 +460,7 @@ impl LaneFailure {
         self.benign_interval = binomial_interval(self.benign_alarmed, self.benign);
     }
 
-    /// Entries and hours by judge: the loudest of several counts.
+    /// Adds entries and hours by judge; of several judges, the one with the most entries counts.
     #[allow(clippy::cast_precision_loss)]
     fn count_nominal(&mut self, by_judge: Vec<(u64, f64)>) {
         let worst = by_judge.into_iter().max_by_key(|&(entries, _)| entries);
@@ -474,7 +477,7 @@ fn share(of: u64, all: u64) -> Option<f64> {
     (all > 0).then(|| of as f64 / all as f64)
 }
 
-/// Scores and losses of seconds under a condition, by road.
+/// Scores and losses of seconds under a condition, for each road.
 pub(super) struct Ranks {
     by_road: Vec<Vec<(f64, f64)>>,
     unjudged: u64,
@@ -494,7 +497,7 @@ impl Ranks {
                 let Some(loss) = loss.filter(|_| under) else {
                     continue;
                 };
-                // The window of the second's last frame is the second.
+                // The window of the last frame of a second is this second.
                 let frames = scores
                     .scores()
                     .filter(|(at, _)| at.as_secs() == second as u64);
@@ -507,7 +510,7 @@ impl Ranks {
         ranks
     }
 
-    /// Over all roads.
+    /// The area under the ROC curve over all roads.
     pub(super) fn auroc(&self) -> Option<f64> {
         auroc(&self.by_road.concat(), FAILURE)
     }

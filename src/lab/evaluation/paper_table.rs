@@ -1,9 +1,10 @@
-//! The paper's table: similarity of image sets with a reference set, tap by tap, and whether the sets stand in the order
-//! that the paper found: another set of the reference's own domain, then adapted simulation, plain simulation, noise.
+//! The paper's table: similarity of image sets to a reference set, for each tap, and whether the sets are in the order
+//! that the paper found: another set of the reference's own domain, then adapted simulation, plain simulation and
+//! noise.
 //!
-//! Sets are compared as wholes, at equal numbers of images, since the similarity of an average rises with their number.
-//! Intervals resample blocks of images of the reference and of the sets, together in every round, so that the order can be
-//! judged in each; see [`PaperRow::order_share`].
+//! Whole sets are compared with equal numbers of images, because the similarity of an average rises with the number of
+//! images. Intervals resample blocks of images of the reference and of the sets, together in every round, so that the
+//! order can be judged in each; see [`PaperRow::order_share`].
 
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -26,50 +27,51 @@ use crate::statistics::random::SplitMix64;
 pub struct PaperRow {
     /// The reference set.
     pub reference: String,
-    /// Its images.
+    /// Number of its images.
     pub images: usize,
-    /// Blocks that they lie in.
+    /// Number of blocks in which they are.
     pub blocks: usize,
     /// The metric.
     pub metric: Metric,
     /// The tap.
     pub tap: String,
-    /// The sets, in the order that the paper found: most similar first.
+    /// The sets in the order that the paper found: the most similar set first.
     pub sets: Vec<SetSimilarity>,
     /// Whether each set is more similar than the next one; `None` when a value is undefined.
     pub order_holds: Option<bool>,
-    /// Share of resamples in which it is, after each set's resamples have been moved to centre on its value.
+    /// Share of resamples in which the order holds, after the resamples of each set have been moved so that their
+    /// centre is its value.
     pub order_share: Option<f64>,
-    /// Resamples.
+    /// Number of resamples.
     pub rounds: usize,
 }
 
-/// One set against the reference.
+/// One set compared with the reference.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct SetSimilarity {
     /// The set.
     pub set: String,
-    /// Images taken of it, evenly spread.
+    /// Number of images taken from it, evenly spread.
     pub images: usize,
-    /// Blocks that they lie in.
+    /// Number of blocks in which they are.
     pub blocks: usize,
-    /// The metric's own number: a correlation or a distance.
+    /// The value of the metric: a correlation or a distance.
     pub value: Option<f64>,
-    /// 95 % interval of it.
+    /// Its 95 % interval.
     pub interval: Option<(f64, f64)>,
-    /// Why there is none.
+    /// Why there is no value.
     pub reason: Option<String>,
 }
 
-/// The sets of a table, most similar first as the paper has them.
+/// The sets of a table, the most similar set first, as in the paper.
 pub struct Sets<'a> {
-    /// What the others are compared with.
+    /// The set with which the others are compared.
     pub reference: &'a SequenceSet,
-    /// The others.
+    /// The other sets.
     pub sets: Vec<&'a SequenceSet>,
 }
 
-/// Rows of a table: metric by metric, tap by tap.
+/// Rows of a table, for each metric and tap.
 pub fn rows(of: &Sets<'_>, taps: &[String], metrics: &[Metric]) -> Vec<PaperRow> {
     let pairs: Vec<(Metric, usize)> = metrics
         .iter()
@@ -86,14 +88,14 @@ struct Block {
     images: usize,
     /// Counts or levels.
     sums: Vec<u64>,
-    /// Of levels.
+    /// Moments of levels.
     moments: Option<Moments>,
 }
 
-/// How the images of one tap are counted; bins and scales are the whole reference's in every resample.
+/// How the images of one tap are counted. In every resample, bins and scales are those of the whole reference.
 enum Counting {
     Histogram(Binning),
-    /// Levels of energies above one that counts as none.
+    /// Levels of energies, with the energy below which a channel counts as inactive.
     Levels(f64),
 }
 
@@ -163,7 +165,7 @@ fn row(of: &Sets<'_>, tap_name: &str, metric: Metric, tap: usize) -> PaperRow {
                 resampled.iter().map(|values| values[round]).collect()
             };
             let held = (0..ROUNDS).filter(|&of| scale.falls(&round(of))).count();
-            // At most a thousand.
+            // It is at most a thousand.
             #[allow(clippy::cast_precision_loss)]
             {
                 held as f64 / ROUNDS as f64
@@ -173,7 +175,7 @@ fn row(of: &Sets<'_>, tap_name: &str, metric: Metric, tap: usize) -> PaperRow {
     }
 }
 
-/// How a metric's numbers are read: correlations from -1 to 1, or distances from 0 on.
+/// How the values of a metric are read: correlations from -1 to 1, or distances from 0 on.
 #[derive(Clone, Copy)]
 enum Scale {
     Correlation,
@@ -188,7 +190,7 @@ impl Scale {
         }
     }
 
-    /// On a scale without ends: Fisher's z of a correlation, the logarithm of a distance.
+    /// The value on an unbounded scale: Fisher's z of a correlation, the logarithm of a distance.
     fn open(self, value: f64) -> f64 {
         const LEAST: f64 = 1e-12;
         match self {
@@ -204,7 +206,7 @@ impl Scale {
         }
     }
 
-    /// What resamples gave, moved so that it centres on what was found: drawing with replacement adds noise of its own,
+    /// The values of resamples, moved so that their centre is the value found. Drawing with replacement adds noise,
     /// which makes every set look less similar than it is.
     #[allow(clippy::cast_precision_loss)]
     fn recentred(self, values: Vec<f64>, found: f64) -> Vec<f64> {
@@ -217,7 +219,7 @@ impl Scale {
             .collect()
     }
 
-    /// Whether each value says more similar than the next.
+    /// Whether each value means a higher similarity than the next one.
     fn falls(self, values: &[f64]) -> bool {
         values.windows(2).all(|pair| match self {
             Self::Correlation => pair[0] > pair[1],
@@ -226,7 +228,7 @@ impl Scale {
     }
 }
 
-/// Sums over blocks, each as often as it was drawn, and how many images that are.
+/// Sums over blocks, each as often as it was drawn, and the number of their images.
 fn sums(blocks: &[Block], times: &[u32]) -> (Vec<u64>, usize) {
     let mut sums = vec![0; blocks.first().map_or(0, |block| block.sums.len())];
     let mut images = 0;
@@ -259,7 +261,7 @@ impl Counting {
         Ok(Self::Histogram(fitted.binning))
     }
 
-    /// Takes so many images of a set, evenly spread, and sums them block by block.
+    /// Takes `images` images of a set, evenly spread, and sums them for each block.
     fn take(&self, set: &SequenceSet, images: usize, tap: usize) -> Result<Vec<Block>, Undefined> {
         let all = set.images();
         let mut chosen = (0..images).map(|index| index * all / images).peekable();
@@ -287,7 +289,7 @@ impl Counting {
         Ok(blocks)
     }
 
-    /// What is taken of every image of a sequence.
+    /// What is taken from every image of a sequence.
     fn numbers(&self, survey: &Survey, tap: usize) -> Vec<Result<Vec<u32>, Undefined>> {
         match self {
             Self::Histogram(binning) => survey
@@ -307,7 +309,7 @@ impl Counting {
         }
     }
 
-    /// The reference made of blocks, each as often as it was drawn.
+    /// The reference made from blocks, each as often as it was drawn.
     fn nominal(&self, blocks: &[Block], times: &[u32]) -> Result<Nominal, Undefined> {
         match self {
             Self::Histogram(binning) => Ok(Nominal::Histogram {

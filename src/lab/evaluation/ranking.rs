@@ -1,6 +1,6 @@
 //! How well scores order losses.
 
-/// Ranks from 1; equal values share the mean of theirs.
+/// Ranks from 1; equal values get the mean of their ranks.
 #[allow(clippy::cast_precision_loss)]
 fn ranks(values: &[f64]) -> Vec<f64> {
     let mut order: Vec<usize> = (0..values.len()).collect();
@@ -57,7 +57,7 @@ mod tests {
     #[test]
     fn auroc_and_spearman_by_hand() {
         let seconds = [(0.1, 0.0), (0.4, 0.9), (0.3, 0.6), (0.35, 0.2)];
-        // Of the 2 x 2 pairs one is the wrong way round.
+        // One of the 2 x 2 pairs is in the wrong order.
         assert_eq!(auroc(&seconds, 0.5), Some(0.75));
         // Rank differences 0, 0, 1, 1: 1 - 6 x 2 / (4 x 15).
         assert!((spearman(&seconds).unwrap() - 0.8).abs() < 1e-12);

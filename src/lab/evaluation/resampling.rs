@@ -4,8 +4,8 @@ use crate::features::lane::Overlap;
 use crate::statistics::bootstrap::{ROUNDS, percentile_interval};
 use crate::statistics::random::SplitMix64;
 
-/// 95 % percentile interval of the pooled intersection over union, from resampling scenes with replacement; the same for
-/// the same scenes on every machine. `None` when no resample holds any lane.
+/// 95 % percentile interval of the pooled intersection over union, from resampling scenes with replacement. It is the
+/// same for the same scenes on every machine. `None` if there is no lane in any resample.
 pub fn interval(scenes: &[Overlap]) -> Option<(f64, f64)> {
     let mut dice = SplitMix64::new(0);
     let ious = (0..ROUNDS)
@@ -14,7 +14,7 @@ pub fn interval(scenes: &[Overlap]) -> Option<(f64, f64)> {
     percentile_interval(ious)
 }
 
-/// Standard normal deviate that 2.5 % lie above.
+/// Standard normal deviate above which 2.5 % are.
 pub const Z: f64 = 1.959_963_985;
 
 /// 95 % interval of a share (Wilson 1927).

@@ -1,4 +1,5 @@
-//! Drives through the monitor, as scores from which the chain behind them can be run at any rate of false alarms.
+//! Passes drives through the monitor, and gives scores with which the rest of the chain can be run at any rate of false
+//! alarms.
 
 use std::time::Duration;
 
@@ -13,7 +14,7 @@ use crate::monitor::alarm::Reason;
 use crate::monitor::pipeline::Monitor;
 use crate::reference::Reference;
 
-/// What a drive shows from a time on.
+/// What a drive shows in one of its parts.
 #[derive(Clone, Debug)]
 pub enum Shown {
     /// A rendered drive.
@@ -32,7 +33,7 @@ pub enum Shown {
     },
 }
 
-/// A drive of parts, each from a time on.
+/// A drive that consists of parts, each from a time on.
 #[derive(Clone, Debug)]
 pub struct Script {
     /// Parts and the seconds at which they begin, rising from 0.
@@ -88,7 +89,7 @@ impl Script {
             })
             .collect();
         let mut scores = DriveScores::default();
-        // Lengths and rates are those of evaluations: small numbers.
+        // Lengths and rates of evaluations are small numbers.
         #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)]
         let frames = (self.seconds * self.fps).ceil() as u64;
         for sequence in 0..frames {

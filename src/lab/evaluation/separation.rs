@@ -1,9 +1,10 @@
-//! How well a number tells shifted windows from nominal ones: area under the ROC curve, and recall at few false positives.
+//! How well a number distinguishes shifted windows from nominal ones: area under the ROC curve, and recall at few false
+//! positives.
 //!
-//! Windows next to each other show nearly the same, so intervals come from resampling whole blocks of them (Carlstein
-//! 1986), and blocks, not windows, are what counts as data. Resamples of windows that are all on one side show no doubt
-//! at all, however few they are; therefore an interval is never narrower than the score interval for as many independent
-//! values as there are blocks.
+//! Neighbouring windows show nearly the same, so intervals come from resampling whole blocks of them (Carlstein 1986),
+//! and blocks, not windows, count as data. If all windows are on one side, resamples show no uncertainty, however few
+//! windows there are. Therefore an interval is never narrower than the score interval for as many independent values as
+//! there are blocks.
 
 use super::resampling::{Z, binomial_interval};
 use crate::statistics::bootstrap::{ROUNDS, percentile_interval};
@@ -12,36 +13,36 @@ use crate::statistics::random::SplitMix64;
 /// Share of nominal windows that may be above the threshold.
 pub const FALSE_POSITIVES: f64 = 0.05;
 
-/// How far shifted numbers lie above nominal ones.
+/// How far shifted numbers are above nominal ones.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Separation {
     /// Share of pairs of a nominal and a shifted window in which the shifted one is larger; ties count half.
     pub auroc: f64,
-    /// 95 % interval of it.
+    /// Its 95 % interval.
     pub auroc_interval: (f64, f64),
     /// Share of shifted windows above the lowest threshold that at most 5 % of the nominal ones exceed.
     pub recall: f64,
-    /// 95 % interval of it.
+    /// Its 95 % interval.
     pub recall_interval: (f64, f64),
-    /// Share of nominal windows above that threshold: 0 when there are fewer than 20.
+    /// Share of nominal windows above that threshold; 0 if there are fewer than 20.
     pub false_positives: f64,
 }
 
-/// One window in the order of falling numbers.
+/// One window in the list, which is sorted by falling numbers.
 struct Ranked {
     value: f64,
     shifted: bool,
     block: usize,
 }
 
-/// What a weighted pass over ranked windows finds.
+/// The result of a weighted pass over ranked windows.
 struct Counted {
     auroc: f64,
     recall: f64,
     false_positives: f64,
 }
 
-/// Separation of two samples, each in blocks of windows; `None` when one has no window.
+/// Separation of two samples, each in blocks of windows; `None` if one has no window.
 pub fn separation(nominal: &[Vec<f64>], shifted: &[Vec<f64>]) -> Option<Separation> {
     let of = |blocks: &[Vec<f64>]| -> Vec<Vec<f64>> {
         let full = blocks.iter().filter(|block| !block.is_empty());
@@ -136,7 +137,7 @@ fn wider(resampled: Option<(f64, f64)>, least: (f64, f64)) -> (f64, f64) {
     (low.min(least.0), high.max(least.1))
 }
 
-/// Wilson's interval of a share of `n` values that need not be a whole number of them.
+/// Wilson's interval of a share of `n` values; the share may be a fraction of values.
 #[allow(
     clippy::cast_precision_loss,
     clippy::cast_possible_truncation,
@@ -185,12 +186,12 @@ mod tests {
 
     #[test]
     fn auroc_and_recall_by_hand() {
-        // Pairs: 2 beats both of 1 and 1.5; 1 ties with 1; 0.5 beats none: (2 + 0.5) of 6.
+        // Pairs: 2 is above both 1 and 1.5; 1 is equal to 1; 0.5 is above none: (2 + 0.5) of 6.
         let found = separation(&each_alone(&[1.0, 1.5]), &each_alone(&[2.0, 1.0, 0.5])).unwrap();
         assert!((found.auroc - 2.5 / 6.0).abs() < 1e-12);
-        // Two nominal windows allow no false positive: only 2 lies above 1.5.
+        // Two nominal windows allow no false positive: only 2 is above 1.5.
         assert!((found.recall - 1.0 / 3.0).abs() < 1e-12 && found.false_positives == 0.0);
-        // Of forty, two may be above.
+        // Of forty windows, two may be above.
         let nominal: Vec<f64> = (0..40).map(f64::from).collect();
         let found = separation(&each_alone(&nominal), &each_alone(&[37.0, 37.5, 50.0])).unwrap();
         assert_eq!((found.false_positives, found.recall), (0.05, 2.0 / 3.0));

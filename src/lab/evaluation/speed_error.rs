@@ -1,7 +1,7 @@
-//! What looking costs against what it brings: one lane model at several windows, frame rates and sets of taps, all from one
-//! look at the same drives as [`lane_failure`](super::lane_failure) has.
+//! The cost of looking and its benefit: one lane model with several windows, frame rates and sets of taps, all from one
+//! look at the same drives as in [`lane_failure`](super::lane_failure).
 //!
-//! Every point has a reference and thresholds of its own, for the same rate of false alarms.
+//! Every point has its own reference and thresholds, for the same rate of false alarms.
 
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -23,12 +23,12 @@ use crate::statistics::event_rate::poisson_interval;
 
 /// Windows that are tried, seconds.
 const WINDOWS_S: [f64; 3] = [0.4, 1.0, 2.0];
-/// Of the judged frames, five a second, every so many are looked at.
+/// Every frame, every second frame or every fourth frame of the five frames a second is looked at.
 const EVERY: [usize; 3] = [1, 2, 4];
 /// Frames a second of the judged drives.
 const FPS: f64 = 5.0;
 
-/// A look at some nominal drives and three roads.
+/// A quick check on some nominal drives and three roads.
 pub const SIZES: Sizes = Sizes {
     fitted: 150,
     held_out: 16,
@@ -37,7 +37,7 @@ pub const SIZES: Sizes = Sizes {
     roads: 3,
 };
 
-/// One way to look.
+/// One point: a way to look, with its cost and its errors.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct SpeedError {
     /// Name of the lane model.
@@ -52,21 +52,22 @@ pub struct SpeedError {
     pub frame_ms: f64,
     /// CPU time of a judged second of driving, ms.
     pub second_ms: f64,
-    /// Drives under a condition of severity 3 or more.
+    /// Number of drives under a condition of severity 3 or more.
     pub severe: u64,
-    /// Those of them in which `Gap` was not entered until 2 s after the condition had its severity.
+    /// Number of these in which `Gap` was not entered within 2 s after the condition had reached its severity.
     pub missed: u64,
     /// 95 % interval of their share (Wilson).
     pub missed_interval: (f64, f64),
-    /// Median time from the condition's beginning to the entry into `Gap`, of those found, seconds. It grows for 2 s.
+    /// Median time from the beginning of the condition, which grows for 2 s, to the entry into `Gap`, for the drives
+    /// found, seconds.
     pub delay_median_s: Option<f64>,
     /// Area under the ROC curve of the score for failed seconds, see [`super::lane_failure::LaneFailure`].
     pub auroc: Option<f64>,
-    /// The same of the metric `lane-risk`.
+    /// The same for the metric `lane-risk`.
     pub risk_auroc: Option<f64>,
-    /// Entries into `Gap` on nominal drives that no threshold has seen.
+    /// Entries into `Gap` on nominal drives that were not used for thresholds.
     pub false_alarms: u64,
-    /// Their hours.
+    /// Hours of these drives.
     pub nominal_hours: f64,
     /// 95 % interval of entries an hour (Poisson, exact).
     pub false_alarms_interval: (f64, f64),
@@ -80,8 +81,8 @@ impl SpeedError {
     }
 }
 
-/// Which points no other one beats: each of the others costs more, misses more, warns later or predicts failures of the
-/// lane model less.
+/// Which points are on the front: each other point costs more, misses more, warns later, or predicts failures of the
+/// lane model less well.
 pub fn front(rows: &[SpeedError]) -> Vec<bool> {
     let criteria = |of: &SpeedError| {
         [
@@ -100,11 +101,11 @@ pub fn front(rows: &[SpeedError]) -> Vec<bool> {
     rows.iter().map(is_best).collect()
 }
 
-/// All points of a model whose frames cost `frame_ms` each. `encoder` must have its lane head; `seen` is called after each
-/// drive.
+/// All points of a model whose frames cost `frame_ms` each. `encoder` must have a lane head; `seen` is called after
+/// each drive.
 ///
 /// # Errors
-/// When the encoder cannot be run, or nominal drives give no thresholds.
+/// When the encoder cannot be run, or when the nominal drives give no thresholds.
 pub fn rows(
     model: &str,
     taps: &[String],
@@ -142,7 +143,7 @@ pub fn rows(
     Ok(rows.concat())
 }
 
-/// A metric on some taps over one window, with its thresholds.
+/// A metric with some taps and one window, and its thresholds.
 struct Point<'a> {
     looked: &'a Looked,
     subset: &'a [usize],
@@ -239,7 +240,7 @@ impl<'a> Point<'a> {
     }
 }
 
-/// Some taps of every so many frames of a drive.
+/// Some taps of every `every`-th frame of a drive.
 fn view(drive: &LabelledSurvey, subset: &[usize], every: usize) -> Survey {
     let of = &drive.survey;
     let frames = of.frames.iter().step_by(every);
@@ -301,9 +302,9 @@ mod tests {
             point(5.0, 60),
         ];
         assert_eq!(front(&rows), [true, true, false, false, true]);
-        // Equals do not beat each other.
+        // Equal points are both on the front.
         assert_eq!(front(&[point(1.0, 1), point(1.0, 1)]), [true, true]);
-        // Worse in two, but sooner.
+        // Worse in two numbers, but sooner.
         let mut sooner = point(2.0, 2);
         sooner.delay_median_s = Some(0.4);
         assert_eq!(front(&[point(1.0, 1), sooner]), [true, true]);

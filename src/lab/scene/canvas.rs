@@ -1,8 +1,8 @@
-//! Linear light and depth of one moment: what the painter fills and the weather changes.
+//! Linear light and depth of one moment, which the painter fills and the weather changes.
 
 use super::light::Colour;
 
-/// A light that shines by itself.
+/// A light source.
 #[derive(Clone, Copy)]
 pub struct Lamp {
     /// Column and row, pixels.
@@ -15,7 +15,7 @@ pub struct Lamp {
 
 /// Linear light on its way to the sensor.
 pub struct Canvas {
-    /// Pixels a row.
+    /// Pixels in a row.
     pub width: usize,
     /// Rows.
     pub height: usize,
@@ -23,7 +23,7 @@ pub struct Canvas {
     pub light: Vec<Colour>,
     /// `[H, W]`, distance in metres; infinite in the sky.
     pub depth_m: Vec<f32>,
-    /// Lights that shine by themselves.
+    /// Light sources.
     pub lamps: Vec<Lamp>,
 }
 

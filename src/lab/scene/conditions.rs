@@ -1,12 +1,12 @@
-//! Conditions that take a drive out of the nominal domain: what each is, and what each severity means.
+//! Conditions that take a drive out of the nominal domain, and what each severity means.
 //!
-//! Severity runs from 0 (none) to 5 and may be any number between; physical quantities are interpolated between the
+//! Severity is a number from 0 (none) to 5, which may have a fraction. Physical quantities are interpolated between the
 //! whole severities of the tables below.
 
 use std::fmt;
 use std::str::FromStr;
 
-/// Seconds a scheduled condition takes to grow to its severity, and again to fade.
+/// Seconds in which a scheduled condition grows to its severity, and in which it fades.
 pub const RAMP_S: f64 = 2.0;
 
 /// Kinds of condition.
@@ -14,23 +14,23 @@ pub const RAMP_S: f64 = 2.0;
 pub enum ConditionKind {
     /// Scattering in the air; severity is visibility.
     Fog,
-    /// Daylight goes, headlights come on, the sensor's gain and noise rise.
+    /// There is less daylight, headlights are on, and the sensor's gain and noise rise.
     Night,
-    /// Streaks, wet road that mirrors the sky, drops on the lens, haze.
+    /// Streaks, a wet road that mirrors the sky, drops on the lens, and haze.
     Rain,
-    /// Lens out of focus.
+    /// A lens out of focus.
     Blur,
     /// Sensor noise.
     Noise,
-    /// Low sun in the picture: veil and bloom.
+    /// A low sun in the picture, with veil and bloom.
     Glare,
     /// Dirt on the lens.
     Dirt,
     /// Snow on the ground and in the air.
     Snow,
-    /// A tunnel over the stretch of road driven in the condition's span; severity is darkness.
+    /// A tunnel over the part of the road that is driven in the span of the condition; severity is darkness.
     Tunnel,
-    /// The camera knocked out of its place: rolled, turned and tipped.
+    /// A camera out of its place: rolled, turned and tipped.
     Askew,
 }
 
@@ -86,17 +86,17 @@ pub fn graded(table: [f32; 6], severity: f32) -> f32 {
 
 /// Extinction of fog, 1/m: 3.912 / visibility (Koschmieder), visibility 500, 220, 110, 60, 30 m.
 pub const FOG_EXTINCTION: [f32; 6] = [0.0, 0.0078, 0.0178, 0.0356, 0.0652, 0.1304];
-/// Daylight left at night: dusk to unlit country road.
+/// Share of daylight at night: from dusk to a country road without lights.
 pub const NIGHT_DAYLIGHT: [f32; 6] = [1.0, 0.40, 0.16, 0.06, 0.02, 0.004];
-/// Rain streaks a picture 320 pixels wide.
+/// Number of rain streaks in a picture that is 320 pixels wide.
 pub const RAIN_STREAKS: [f32; 6] = [0.0, 60.0, 140.0, 260.0, 420.0, 650.0];
 /// Extinction of rain haze, 1/m.
 pub const RAIN_EXTINCTION: [f32; 6] = [0.0, 0.0015, 0.004, 0.008, 0.014, 0.024];
 /// Share of the road's light that is mirrored sky in rain.
 pub const RAIN_MIRROR: [f32; 6] = [0.0, 0.15, 0.3, 0.45, 0.6, 0.72];
-/// Drops on the lens.
+/// Number of drops on the lens.
 pub const RAIN_DROPS: [f32; 6] = [0.0, 3.0, 8.0, 16.0, 28.0, 45.0];
-/// Standard deviation of the blur, share of the picture's width (1 pixel in 320 is 0.0031).
+/// Standard deviation of the blur, as a share of the picture's width (1 pixel of 320 is 0.0031).
 pub const BLUR_SIGMA: [f32; 6] = [0.0, 0.0022, 0.0041, 0.0066, 0.0105, 0.0165];
 /// Standard deviation of sensor noise, 8-bit steps.
 pub const NOISE_SIGMA: [f32; 6] = [0.0, 5.0, 10.0, 18.0, 30.0, 48.0];
@@ -107,25 +107,26 @@ pub const DIRT_COVER: [f32; 6] = [0.0, 0.05, 0.10, 0.18, 0.28, 0.42];
 
 /// Share of the verge under snow.
 pub const SNOW_VERGE: [f32; 6] = [0.0, 0.40, 0.80, 1.0, 1.0, 1.0];
-/// Share of the road under snow; wheel tracks are the last to go.
+/// Share of the road under snow; wheel tracks disappear last.
 pub const SNOW_ROAD: [f32; 6] = [0.0, 0.03, 0.15, 0.35, 0.65, 0.95];
-/// Flakes in a picture 320 pixels wide.
+/// Number of flakes in a picture that is 320 pixels wide.
 pub const SNOW_FLAKES: [f32; 6] = [0.0, 40.0, 90.0, 160.0, 260.0, 400.0];
 /// Extinction of falling snow, 1/m.
 pub const SNOW_EXTINCTION: [f32; 6] = [0.0, 0.001, 0.003, 0.006, 0.012, 0.022];
-/// Light in a tunnel as a share of daylight: lit like a station, down to lamps that are out.
+/// Light in a tunnel as a share of daylight: from a brightly lit tunnel to one without lamps.
 pub const TUNNEL_LIGHT: [f32; 6] = [1.0, 0.35, 0.18, 0.09, 0.04, 0.012];
-/// Roll of a camera knocked askew, degrees; it is turned aside by half of that and tipped by a third.
+/// Roll of a camera out of its place, degrees; it is turned by half of this angle and tipped by a third.
 pub const ASKEW_ROLL_DEG: [f32; 6] = [0.0, 1.5, 3.0, 5.0, 8.0, 12.0];
 
 /// A condition over the time of a drive, as in `fog:3` or `fog:3@20-40`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Condition {
-    /// What.
+    /// Kind of the condition.
     pub kind: ConditionKind,
-    /// How bad, 0 to 5.
+    /// Severity, 0 to 5.
     pub severity: f32,
-    /// When: severity reached at the first time, gone at the second, seconds; `None` = always.
+    /// The severity is reached at the first time, and the condition is gone at the second time, seconds; `None` =
+    /// always.
     pub span_s: Option<(f64, f64)>,
 }
 
@@ -141,7 +142,7 @@ impl Condition {
     }
 }
 
-/// Severities of a list of conditions at `t_s`; the worse of two of the same kind counts.
+/// Severities of a list of conditions at `t_s`. Of two conditions of the same kind, the worse one counts.
 pub fn severities_at(conditions: &[Condition], t_s: f64) -> Severities {
     let mut severities = Severities::default();
     for condition in conditions {
@@ -151,7 +152,7 @@ pub fn severities_at(conditions: &[Condition], t_s: f64) -> Severities {
     severities
 }
 
-/// A condition that cannot be read. Who reports it says what was found.
+/// A condition that cannot be read. The caller reports what was found.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error("wanted KIND:SEVERITY or KIND:SEVERITY@FROM-TO, for example fog:3@20-40 ({wanted})")]
 pub struct ConditionError {
@@ -167,13 +168,13 @@ impl FromStr for Condition {
         };
         let (kind, rest) = text
             .split_once(':')
-            .ok_or_else(|| error("no severity after ':'"))?;
+            .ok_or_else(|| error("there is no severity after ':'"))?;
         let kind = ConditionKind::ALL
             .into_iter()
             .find(|k| k.name() == kind)
             .ok_or_else(|| {
                 error(&format!(
-                    "kinds are {}",
+                    "the kinds are {}",
                     ConditionKind::ALL.map(ConditionKind::name).join(", ")
                 ))
             })?;
@@ -183,9 +184,9 @@ impl FromStr for Condition {
         };
         let severity: f32 = severity
             .parse()
-            .map_err(|_| error("severity is a number from 0 to 5"))?;
+            .map_err(|_| error("the severity is a number from 0 to 5"))?;
         if !(0.0..=5.0).contains(&severity) {
-            return Err(error("severity is a number from 0 to 5"));
+            return Err(error("the severity is a number from 0 to 5"));
         }
         let span_s = span
             .map(|span| {
@@ -195,7 +196,7 @@ impl FromStr for Condition {
                     .then_some((from, to))
             })
             .map(|span| {
-                span.ok_or_else(|| error("the span is FROM-TO in seconds, 2 s long or more"))
+                span.ok_or_else(|| error("the span is FROM-TO in seconds, at least 2 s long"))
             })
             .transpose()?;
         Ok(Self {
@@ -236,10 +237,10 @@ mod tests {
     fn wrong_conditions_are_refused_with_what_is_wanted() {
         for (text, part) in [
             ("fog", "no severity"),
-            ("mist:3", "kinds are askew, tunnel, snow, night"),
+            ("mist:3", "the kinds are askew, tunnel, snow, night"),
             ("fog:6", "0 to 5"),
             ("fog:NaN", "0 to 5"),
-            ("fog:3@40-20", "2 s long or more"),
+            ("fog:3@40-20", "at least 2 s long"),
             ("fog:3@x", "FROM-TO"),
         ] {
             let message = text.parse::<Condition>().unwrap_err().to_string();

@@ -1,4 +1,4 @@
-//! A drive: all that is drawn from its seed.
+//! A drive: everything that is drawn from its seed.
 
 use super::conditions::Condition;
 use super::light::{Colour, Light};
@@ -22,13 +22,13 @@ pub struct Drive {
     pub(super) light: Light,
     pub(super) camera: CameraMount,
     pub(super) sensor: Sensor,
-    /// Colour of the own bonnet, where it is in view.
+    /// Colour of the own bonnet, if it is in view.
     pub(super) bonnet: Option<Colour>,
     pub(super) conditions: Vec<Condition>,
 }
 
 impl Drive {
-    /// The drive of a seed in a world under a list of conditions.
+    /// The drive with a seed, in a world and under a list of conditions.
     pub fn new(world: &World, seed: u64, conditions: &[Condition]) -> Self {
         let seed = hash((seed >> 32) as u32, seed as u32 as i32, 0);
         let part = |name| Draws(Draws(seed).seed(name));

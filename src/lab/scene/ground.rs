@@ -9,7 +9,7 @@ use super::projection::GroundRow;
 
 /// Lane lines are labelled up to this distance, metres.
 const LABEL_REACH_M: f32 = 60.0;
-/// The walkway along a tunnel's wall.
+/// Colour of the walkway along a tunnel's wall.
 const KERB: Colour = [0.34, 0.34, 0.33];
 
 impl Moment<'_> {
@@ -44,7 +44,8 @@ impl Moment<'_> {
             .ground_row(s_m, row.length_m.max(metres_a_pixel));
         let paint = PaintRow::new(layout, s_m, row.length_m);
         let label_half_m = label_half_px * metres_a_pixel;
-        // A line `d` metres aside runs at slope d / height in the picture; its label is as wide across as along a row.
+        // A line that is `d` metres to the side has the slope d / height in the picture. Its label has the same width
+        // across the line as along a row.
         let camera_d_m = self.lateral(row, self.projection.centre_x);
         let slant = |d_m: f32| {
             let slope = (d_m - camera_d_m) / self.projection.height_m;
@@ -64,7 +65,8 @@ impl Moment<'_> {
         };
         let below_horizon =
             ((y as f32 + 0.5) - self.projection.horizon_y).max(0.0) / self.projection.focal_px;
-        // Places on the ground are measured from the middle of the ego lane; the camera stands beside it by sway and mount.
+        // Positions on the ground are measured from the middle of the ego lane; the camera is beside it because of sway
+        // and mount.
         let left_m = self.lateral(row, 0.5);
         for (x, (light, mask)) in light.iter_mut().zip(mask).enumerate() {
             let d_m = left_m + x as f32 * metres_a_pixel;
@@ -77,7 +79,7 @@ impl Moment<'_> {
                     None => base,
                 };
                 let painted = if snow_on_road > 0.0 {
-                    // Wheels clear their tracks as long as there is any road to be seen.
+                    // Wheels clear their tracks as long as any road can be seen.
                     let track = 1.0 - ((phase.abs() - 0.85).abs() / 0.45).min(1.0);
                     let cover = snow_on_road * (1.0 - 0.6 * track * (1.0 - snow_on_road));
                     blended(painted, SNOW, textures.snow(d_m, cover))

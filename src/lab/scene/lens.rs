@@ -1,4 +1,4 @@
-//! The lens: what lies on it, what shines into it, how it is held and how sharp it draws.
+//! The lens: what is on it, what shines into it, how it is held, and how sharp it is.
 
 use super::canvas::{Canvas, Lamp};
 use super::conditions::{
@@ -10,7 +10,7 @@ use super::noise::{Draws, uniform, value_noise};
 use super::projection::Projection;
 use super::weather::span;
 
-/// Applies drops, glare, dirt and blur; `softness` is the lens's own, a share of the picture's width.
+/// Applies drops, glare, dirt and blur; `softness` is that of the lens, as a share of the picture's width.
 pub fn apply(
     canvas: &mut Canvas,
     projection: &Projection,
@@ -38,10 +38,10 @@ pub fn apply(
     }
 }
 
-/// How far a camera knocked askew is rolled, turned and tipped, radians.
+/// How far a camera out of its place is rolled, turned and tipped, radians.
 #[derive(Clone, Copy, Default)]
 pub struct Askew {
-    /// About the viewing axis.
+    /// Around the viewing axis.
     pub roll: f32,
     /// To the side.
     pub turned: f32,
@@ -50,7 +50,7 @@ pub struct Askew {
 }
 
 impl Askew {
-    /// Of a drive at one moment; the sides are the drive's own.
+    /// The angles of a drive at one moment; their signs depend on the drive.
     pub fn of(severities: &Severities, seed: u32) -> Self {
         let angle = graded(ASKEW_ROLL_DEG, severities.of(ConditionKind::Askew)).to_radians();
         let side = |name| {
@@ -67,7 +67,7 @@ impl Askew {
         }
     }
 
-    /// Pixels that a picture must be larger on every side so that the rolled one is full.
+    /// Number of pixels by which a picture must be larger on every side, so that the rolled picture is complete.
     pub fn margin_px(self, width: usize, height: usize) -> usize {
         if self.roll.abs() < 1e-6 {
             return 0;
@@ -76,7 +76,7 @@ impl Askew {
         (half_diagonal * libm::sinf(self.roll).abs()).ceil() as usize + 1
     }
 
-    /// Cuts the rolled picture and labels out of larger ones with `margin_px` on every side.
+    /// Cuts the rolled picture and labels out of larger ones that have `margin_px` more pixels on every side.
     pub fn roll_into(
         self,
         (from, from_mask): (&Canvas, &[u8]),
@@ -157,7 +157,7 @@ fn drops(canvas: &mut Canvas, count: f32, seed: u32) {
     }
 }
 
-/// A low sun ahead: bloom around it and a veil over everything.
+/// A low sun ahead: bloom around it, and a veil over everything.
 fn glare(canvas: &mut Canvas, projection: &Projection, veil: f32, seed: u32) {
     let (width, height) = (canvas.width as f32, canvas.height as f32);
     let sun_x = projection.centre_x + (uniform(seed, 0, 21) - 0.5) * 0.5 * width;
@@ -206,7 +206,7 @@ fn dirt(canvas: &mut Canvas, cover: f32, daylight: f32, seed: u32) {
     }
 }
 
-/// Gaussian blur of the light, one axis after the other; pixels beyond the edge repeat it.
+/// Gaussian blur of the light, one axis after the other; pixels beyond the edge repeat the edge.
 fn blur(canvas: &mut Canvas, sigma_px: f32) {
     let reach = (3.0 * sigma_px).ceil() as isize;
     let mut kernel: Vec<f32> = (-reach..=reach)

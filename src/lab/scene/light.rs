@@ -3,7 +3,7 @@
 use super::noise::{Draws, value_noise};
 use super::world::{Element, Look, World};
 
-/// A linear-light colour, red, green, blue; 1 is a white sheet in full light.
+/// A colour in linear light: red, green and blue; 1 is a white sheet in full light.
 pub type Colour = [f32; 3];
 
 /// Scales a colour.
@@ -11,7 +11,7 @@ pub fn scaled(colour: Colour, by: f32) -> Colour {
     colour.map(|c| c * by)
 }
 
-/// Goes from `a` to `b` as `t` goes from 0 to 1.
+/// Interpolates from `a` to `b` as `t` goes from 0 to 1.
 pub fn blended(a: Colour, b: Colour, t: f32) -> Colour {
     [
         a[0] + (b[0] - a[0]) * t,
@@ -33,14 +33,14 @@ pub struct Light {
     shadow_side: f64,
     shadow_seed: u32,
     shadow_density: f32,
-    /// Extinction of the clear day's air, 1/m.
+    /// Extinction of the air on a clear day, 1/m.
     pub extinction: f32,
-    /// Brightness after exposure: pixel value of a mid-grey road, about.
+    /// Brightness after exposure: about the pixel value of a mid-grey road.
     pub exposure: f32,
 }
 
 impl Light {
-    /// The light of a drive: day, from overcast to clear.
+    /// The light of a drive: a day, from overcast to clear.
     pub fn new(draws: Draws, world: &World) -> Self {
         let clear = match world.look {
             Look::Sim | Look::Realistic => draws.range("clear sky", 0.0, 1.0),
@@ -102,7 +102,7 @@ impl Light {
         blended(clear, [0.93, 0.94, 0.96], 0.8 * cover)
     }
 
-    /// Share of light left on the road at arc length `s_m`, offset `d_m`: roadside shadows fall across it.
+    /// Share of light on the road at arc length `s_m` and offset `d_m`, because roadside shadows fall across it.
     pub fn shade(&self, s_m: f64, d_m: f32) -> f32 {
         if self.shadow_depth <= 0.02 {
             return 1.0;

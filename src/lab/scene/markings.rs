@@ -1,10 +1,10 @@
-//! What is painted on the road: which lines, where, how worn.
+//! What is painted on the road: the lines, their positions, and their wear.
 
 use super::light::Colour;
 use super::noise::{Draws, NoiseRow};
 use super::world::{Element, Look, World};
 
-/// Most lanes in the direction of travel.
+/// Largest number of lanes in the direction of travel.
 const LANES_MAX: usize = 5;
 
 /// One painted line along the road.
@@ -16,7 +16,7 @@ pub struct Line {
     pub width_m: f32,
     /// Painted length and gap of a dash, metres; `None` for a solid line.
     pub dash_m: Option<(f32, f32)>,
-    /// Yellow instead of white.
+    /// Whether it is yellow instead of white.
     pub yellow: bool,
 }
 
@@ -58,7 +58,7 @@ impl Layout {
         let right_edge = (count as f32 - ego as f32 - 0.5) * lane;
         let mut lines = heapless::Vec::new();
         let mut paint = |offset_m, dash_m, yellow| {
-            // At most 5 lanes one way, or one and an oncoming one with a double line: 6 lines of 8.
+            // At most 5 lanes one way, or one lane and an oncoming lane with a double line: 6 of 8 lines.
             let _ = lines.push(Line {
                 offset_m,
                 width_m,
@@ -118,7 +118,7 @@ impl Layout {
     }
 }
 
-/// The paint along one image row: lines cut to the row's stretch of road.
+/// The paint along one image row: the lines on the part of the road that the row shows.
 pub struct PaintRow<'a> {
     layout: &'a Layout,
     cover: heapless::Vec<f32, 8>,
@@ -127,7 +127,7 @@ pub struct PaintRow<'a> {
 }
 
 impl<'a> PaintRow<'a> {
-    /// The stretch of `length_m` around arc length `s_m`.
+    /// The paint on a length of `length_m` around arc length `s_m`.
     pub fn new(layout: &'a Layout, s_m: f64, length_m: f32) -> Self {
         Self {
             layout,
@@ -146,7 +146,7 @@ impl<'a> PaintRow<'a> {
 
     /// Share of paint on `width_m` metres around offset `d_m`, and its colour.
     ///
-    /// Coverage is the exact overlap of line and pixel, so thin lines far away fade instead of flickering.
+    /// Coverage is the exact overlap of line and pixel, so that thin lines far away fade and do not flicker.
     pub fn at(&self, d_m: f32, width_m: f32) -> Option<(f32, Colour)> {
         for (line, cover) in self.layout.lines.iter().zip(&self.cover) {
             let overlap = (0.5 * (line.width_m + width_m) - (d_m - line.offset_m).abs()) / width_m;
@@ -167,7 +167,7 @@ impl<'a> PaintRow<'a> {
 
 fn dash_cover((paint, gap): (f32, f32), s_m: f64, length_m: f32) -> f32 {
     let period = f64::from(paint + gap);
-    // Painted length before s, from the start of the road.
+    // Painted length before `s`, from the start of the road.
     let painted = |s: f64| {
         let periods = (s / period).floor();
         periods * f64::from(paint) + (s - periods * period).min(f64::from(paint))

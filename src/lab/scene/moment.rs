@@ -1,4 +1,4 @@
-//! One moment of a drive, seen by a camera: what lies and stands there becomes light, depth and labels.
+//! One moment of a drive, as a camera sees it: the ground and the objects on it become light, depth and labels.
 
 use super::Drive;
 use super::canvas::Canvas;
@@ -8,7 +8,7 @@ use super::projection::{GroundRow, GroundView, Projection};
 use super::road::{Pose, RoadAhead};
 use super::tunnel::Tunnel;
 
-/// Snow in full light.
+/// Colour of snow in full light.
 pub(super) const SNOW: Colour = [0.86, 0.88, 0.92];
 
 /// One moment of a drive and the camera that looks at it.
@@ -24,7 +24,7 @@ pub(super) struct Moment<'a> {
 }
 
 impl<'a> Moment<'a> {
-    /// The moment `t_s` of a drive in a picture of `height` pixels.
+    /// The moment `t_s` of a drive, in a picture with a height of `height` pixels.
     pub fn new(
         drive: &'a Drive,
         t_s: f64,
@@ -69,9 +69,11 @@ impl<'a> Moment<'a> {
         }
     }
 
-    /// Compass direction of the road under the car: turns with the road so that hills and clouds move sideways in curves.
+    /// Compass direction of the road under the car. It turns with the road, so that hills and clouds move sideways in
+    /// curves.
     fn compass(&self) -> f64 {
-        // The integral of the curvature has no closed form here; a slow wander with the same period looks the same.
+        // The integral of the curvature has no closed form here; slow random motion with the same period looks the
+        // same.
         f64::from(self.drive.road.curvature(self.pose.s_m)) * 60.0
     }
 
@@ -120,7 +122,7 @@ impl<'a> Moment<'a> {
         }
     }
 
-    /// Offset from the ego lane's middle that column `x` of a ground row sees, metres.
+    /// Offset from the middle of the ego lane that column `x` of a ground row shows, metres.
     pub(super) fn lateral(&self, row: &GroundRow, x: f32) -> f32 {
         let from_axis_m = (x - self.projection.centre_x) * row.z_m / self.projection.focal_px;
         from_axis_m - row.lateral_m + self.pose.sway_m + self.drive.camera.aside_m

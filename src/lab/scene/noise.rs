@@ -1,8 +1,8 @@
 //! Seeded randomness: the same number for the same seed and place on every machine and thread.
 //!
-//! Only integer arithmetic and IEEE additions and products are used, so results are bit-identical everywhere.
+//! Only integer arithmetic and IEEE additions and products are used, so that results are equal bit for bit everywhere.
 
-/// Mixes a seed and a lattice point into 32 well-spread bits.
+/// Mixes a seed and a lattice point into 32 well mixed bits.
 pub fn hash(seed: u32, x: i32, y: i32) -> u32 {
     let mut h = seed
         ^ (x as u32).wrapping_mul(0x9E37_79B1)
@@ -37,7 +37,7 @@ fn mix(a: f32, b: f32, t: f32) -> f32 {
     a + (b - a) * t
 }
 
-/// Piecewise linear noise of one coordinate, `-1..1`: as a curvature it makes a road of clothoids.
+/// Piecewise linear noise of one coordinate, `-1..1`. As a curvature, it gives a road of clothoids.
 pub fn linear_noise(seed: u32, x: f64) -> f32 {
     let (cell, t) = lattice(x);
     let at = |i: i32| 2.0 * unit(hash(seed, i, 0)) - 1.0;
@@ -85,7 +85,7 @@ impl NoiseRow {
     }
 }
 
-/// Named draws from one seed: a new draw does not change the others.
+/// Named random draws from one seed: a new draw does not change the others.
 #[derive(Clone, Copy, Debug)]
 pub struct Draws(pub u32);
 
@@ -108,7 +108,7 @@ impl Draws {
         unit(self.seed(name)) < probability
     }
 
-    /// One of the options, each as likely as the others.
+    /// One of the options, all with the same probability.
     pub fn pick<T: Copy>(self, name: &str, options: &[T]) -> T {
         options[self.seed(name) as usize % options.len()]
     }

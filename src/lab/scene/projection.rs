@@ -1,13 +1,13 @@
-//! The camera: a pinhole behind the windscreen, and which stretch of road each image row sees.
+//! The camera: a pinhole behind the windscreen, and which part of the road each image row shows.
 
 use super::noise::Draws;
 use super::road::{Pose, RoadAhead};
 use super::world::{Look, World};
 
-/// How the camera is fixed in the car.
+/// How the camera is mounted in the car.
 #[derive(Clone, Copy, Debug)]
 pub struct CameraMount {
-    /// Focal length, share of the picture's width.
+    /// Focal length, as a share of the picture's width.
     focal: f32,
     height_m: f32,
     pitch: f32,
@@ -17,8 +17,8 @@ pub struct CameraMount {
 }
 
 impl CameraMount {
-    /// The camera of a drive: 52 to 74 degrees of horizontal view, 1.2 to 1.7 m above the road; the game's is wider and
-    /// higher.
+    /// The camera of a drive: 52 to 74 degrees of horizontal view, 1.2 to 1.7 m above the road; that of the look `game`
+    /// is wider and higher.
     pub fn new(draws: Draws, world: &World) -> Self {
         let (half_view, height_m) = match world.look {
             Look::Sim | Look::Realistic => (
@@ -40,7 +40,7 @@ impl CameraMount {
     }
 
     /// The projection for a picture of the given size in pixels while the car is at `pose`; `turned` and `tipped` are
-    /// the camera's further yaw and pitch, radians.
+    /// additional yaw and pitch of the camera, radians.
     pub fn projection(
         &self,
         (width, height): (usize, usize),
@@ -71,7 +71,7 @@ pub struct Projection {
 }
 
 impl Projection {
-    /// The same projection into a picture with `margin_px` more on every side.
+    /// The same projection into a picture with `margin_px` more pixels on every side.
     pub fn with_margin(self, margin_px: usize) -> Self {
         Self {
             centre_x: self.centre_x + margin_px as f32,
@@ -85,33 +85,33 @@ impl Projection {
         self.centre_x + self.focal_px * x_m / z_m
     }
 
-    /// Row of a point `rise_m` above the plane the car stands on at distance `z_m`.
+    /// Row of a point at distance `z_m` that is `rise_m` above the plane on which the car stands.
     pub fn row(&self, rise_m: f32, z_m: f32) -> f32 {
         self.horizon_y + self.focal_px * (self.height_m - rise_m) / z_m
     }
 }
 
-/// The stretch of road that one image row sees.
+/// The part of the road that one image row shows.
 #[derive(Clone, Copy, Debug)]
 pub struct GroundRow {
     /// Distance, metres.
     pub z_m: f32,
-    /// Lateral place of the ego lane's middle there, metres.
+    /// Lateral position of the middle of the ego lane there, metres.
     pub lateral_m: f32,
-    /// Length of road the row covers, metres.
+    /// Length of road that the row covers, metres.
     pub length_m: f32,
 }
 
-/// What each image row sees of the ground (`None` above the horizon), and where hills hide what lies behind them.
+/// What each image row shows of the ground (`None` above the horizon), and where hills hide what is behind them.
 pub struct GroundView {
-    /// One entry an image row, top first.
+    /// One entry for each image row, the top row first.
     pub rows: Vec<Option<GroundRow>>,
-    /// Distance and the highest row that nearer ground reaches, nearest first.
+    /// Distance, and the highest row that nearer ground reaches; the nearest entry first.
     crests: Vec<(f32, f32)>,
 }
 
 impl GroundView {
-    /// Walks the road away from the car; ground that a nearer crest hides is skipped.
+    /// Follows the road away from the car; ground that is hidden by a nearer crest is skipped.
     pub fn new(projection: &Projection, ahead: &RoadAhead, height: usize) -> Self {
         let mut rows = vec![None; height];
         let mut crests = Vec::with_capacity(ahead.nodes.len());
@@ -129,7 +129,7 @@ impl GroundView {
             while unseen >= 0 && unseen as f32 + 0.5 >= row_b {
                 let centre = unseen as f32 + 0.5;
                 let t = ((row_a - centre) / (row_a - row_b).max(1e-6)).clamp(0.0, 1.0);
-                // Rows are even in 1/z inside a step, not in z.
+                // Inside a step, rows are evenly spaced in 1/z, and not in z.
                 let z_m = 1.0 / (1.0 / a.z_m + t * (1.0 / b.z_m - 1.0 / a.z_m));
                 let share = (z_m - a.z_m) / (b.z_m - a.z_m);
                 rows[unseen as usize] = Some(GroundRow {

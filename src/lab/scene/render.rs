@@ -1,5 +1,5 @@
-//! One moment of a drive as a frame with its truth: painted in linear light with depth, through weather and lens to the
-//! sensor.
+//! Renders one moment of a drive as a frame with its truth: painted in linear light with depth, and passed through
+//! weather and lens to the sensor.
 
 use super::Drive;
 use super::canvas::Canvas;
@@ -9,8 +9,8 @@ use super::moment::Moment;
 use super::noise::hash;
 use super::weather;
 
-/// Half the width of a label, pixels in a picture 320 wide: lane data sets label lines with a fixed width (CULane's are
-/// 16 pixels in 800), so that far lines weigh something.
+/// Half of the width of a label, in pixels of a picture that is 320 pixels wide. Lane data sets label lines with a
+/// fixed width (CULane: 16 pixels of 800), so that far lines have some weight.
 const LABEL_HALF_WIDTH_PX: f32 = 2.0;
 
 /// A frame and its truth.
@@ -29,7 +29,7 @@ pub struct Renderer {
 }
 
 impl Renderer {
-    /// A renderer of pictures `width` by `height` pixels.
+    /// A renderer of pictures with `width` by `height` pixels.
     pub fn new(width: u32, height: u32) -> Self {
         let (width, height) = (width as usize, height as usize);
         Self {
@@ -39,7 +39,7 @@ impl Renderer {
         }
     }
 
-    /// The drive at `t_s` seconds.
+    /// Renders the drive at `t_s` seconds.
     pub fn render(&mut self, drive: &Drive, t_s: f64) -> Labelled<'_> {
         let severities = severities_at(&drive.conditions, t_s);
         let pose = drive.road.pose(t_s);

@@ -1,4 +1,5 @@
-//! Where the road runs: curvature, grade, and how the car moves along it. Random access by time, no end.
+//! The course of the road: curvature, grade, and how the car moves along it. Any time can be accessed directly, and
+//! there is no end.
 
 use super::noise::{Draws, linear_noise, wander};
 use super::world::{Element, World};
@@ -8,13 +9,13 @@ const CURVATURE_KNOT_M: f64 = 90.0;
 /// Distance between two knots of the piecewise linear grade, metres.
 const GRADE_KNOT_M: f64 = 160.0;
 
-/// A road and the car's way along it.
+/// A road, and the motion of the car along it.
 #[derive(Clone, Debug)]
 pub struct Road {
     draws: Draws,
     /// Largest curvature, 1/m.
     curvature_max: f32,
-    /// Largest grade, metres a metre.
+    /// Largest grade, metres for each metre.
     grade_max: f32,
     /// Mean speed of the car, m/s.
     pub speed_mps: f32,
@@ -23,14 +24,14 @@ pub struct Road {
     pitch_max: f32,
 }
 
-/// Where the car is and how it is turned against the road's tangent.
+/// Position of the car, and its angle relative to the road's tangent.
 #[derive(Clone, Copy, Debug)]
 pub struct Pose {
     /// Arc length along the road, metres.
     pub s_m: f64,
     /// Offset from the middle of its lane, metres, right positive.
     pub sway_m: f32,
-    /// Heading against the tangent, radians, right positive.
+    /// Heading relative to the tangent, radians, right positive.
     pub heading: f32,
     /// Pitch of the body, radians, nose up positive.
     pub pitch: f32,
@@ -55,7 +56,7 @@ impl Road {
         self.curvature_max * linear_noise(self.draws.seed("curvature"), s_m / CURVATURE_KNOT_M)
     }
 
-    /// Grade at arc length `s_m`, metres a metre.
+    /// Grade at arc length `s_m`, metres for each metre.
     pub fn grade(&self, s_m: f64) -> f32 {
         self.grade_max * linear_noise(self.draws.seed("grade"), s_m / GRADE_KNOT_M)
     }
@@ -63,7 +64,8 @@ impl Road {
     /// The car's pose at `t_s` seconds.
     pub fn pose(&self, t_s: f64) -> Pose {
         let v = f64::from(self.speed_mps);
-        // Speed breathes by 8 % with a period of about 50 s; its integral keeps access random.
+        // The speed varies by 8 % with a period of about 50 s. Its integral is known, so that any time can be accessed
+        // directly.
         let phase = f64::from(self.draws.range("speed phase", 0.0, std::f32::consts::TAU));
         let omega = 0.125;
         let s_m = 1_000.0 + v * (t_s + 0.08 / omega * libm::sin(omega * t_s + phase));
@@ -108,28 +110,28 @@ impl Road {
     }
 }
 
-/// One station of the road ahead.
+/// One point of the road ahead.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Node {
     /// Distance ahead, metres.
     pub z_m: f32,
-    /// Lateral place of the ego lane's middle, metres, right positive.
+    /// Lateral position of the middle of the ego lane, metres, right positive.
     pub lateral_m: f32,
-    /// Height above the plane the car stands on, metres.
+    /// Height above the plane on which the car stands, metres.
     pub rise_m: f32,
 }
 
-/// The road ahead as stations that widen with distance, to about 500 m.
+/// The road ahead as points whose spacing grows with distance, up to about 500 m.
 #[derive(Clone, Debug)]
 pub struct RoadAhead {
-    /// Stations, nearest first.
+    /// Points, the nearest first.
     pub nodes: [Node; Self::NODES],
 }
 
 impl RoadAhead {
     const NODES: usize = 118;
 
-    /// The road at distance `z_m`, between stations; `None` beyond the last.
+    /// The road at distance `z_m`, interpolated between points; `None` beyond the last point.
     pub fn at(&self, z_m: f32) -> Option<Node> {
         let next = self.nodes.iter().position(|n| n.z_m > z_m)?;
         let (a, b) = (self.nodes[next.checked_sub(1)?], self.nodes[next]);

@@ -1,4 +1,5 @@
-//! The sensor: exposure that follows the light, the look's way of turning light into colour, noise, 8 bits.
+//! The sensor: exposure that follows the light, conversion of light into colour according to the look, noise, and 8
+//! bits.
 
 use std::sync::OnceLock;
 
@@ -10,17 +11,18 @@ use super::conditions::{
 use super::noise::{Draws, hash};
 use super::world::{Look, World};
 
-/// Time in which the exposure follows the light to 63 %, seconds; automotive sensors take some tenths to one.
+/// Time in which the exposure follows the light by 63 %, seconds; automotive sensors need some tenths of a second to
+/// one second.
 const ADAPTATION_S: f64 = 0.6;
-/// The light's past is looked at in so many steps of a quarter of that time.
+/// Number of steps in which the past light is used, each a quarter of that time.
 const STEPS: u32 = 16;
 
-/// How a look's camera turns light into pixels; the plain look's does nothing but the sRGB curve.
+/// How the camera of a look turns light into pixels. The camera of the plain look applies only the sRGB curve.
 #[derive(Clone, Copy, Debug)]
 pub struct Sensor {
-    /// Standard deviation of the lens's softness, share of the picture's width.
+    /// Standard deviation of the softness of the lens, as a share of the picture's width.
     pub softness: f32,
-    /// Light lost in the corners.
+    /// Share of light that is lost in the corners.
     vignette: f32,
     /// Standard deviation of noise, 8-bit steps.
     noise: f32,
@@ -29,7 +31,7 @@ pub struct Sensor {
     saturation: f32,
     /// Gains of red, green and blue.
     cast: [f32; 3],
-    /// Whether the exposure takes its time to follow the light; else it is there at once.
+    /// Whether the exposure follows the light slowly; otherwise it follows at once.
     adapts: bool,
 }
 
@@ -69,8 +71,8 @@ impl Sensor {
         }
     }
 
-    /// Gain that the exposure has reached at `t_s` under `conditions`: a mean of the gains the past light asked for, in
-    /// stops, weighted by how long ago.
+    /// Gain that the exposure has reached at `t_s` under `conditions`: a mean of the gains that the past light
+    /// required, in stops, weighted by age.
     pub fn gain(&self, conditions: &[Condition], t_s: f64) -> f32 {
         if !self.adapts || conditions.is_empty() {
             return wanted_gain(&severities_at(conditions, t_s));
@@ -134,7 +136,7 @@ impl Sensor {
         let grey = 0.2126 * light[0] + 0.7152 * light[1] + 0.0722 * light[2];
         light.map(|c| {
             let c = (grey + self.saturation * (c - grey)).clamp(0.0, 1.0);
-            // The curve works on about what the eye sees: the square root of the light.
+            // The curve is applied to approximately what the eye sees: the square root of the light.
             let seen = c.sqrt();
             let curved = seen * seen * (3.0 - 2.0 * seen);
             let seen = seen + self.contrast * (curved - seen);
@@ -143,7 +145,7 @@ impl Sensor {
     }
 }
 
-/// Gain that light as it is now asks for: the sensor follows it, but only over some two stops.
+/// Gain that the present light requires; the sensor follows the light only over about two stops.
 fn wanted_gain(severities: &Severities) -> f32 {
     let of = |table, kind| graded(table, severities.of(kind));
     let light = of(NIGHT_DAYLIGHT, ConditionKind::Night)
@@ -173,7 +175,7 @@ fn srgb_curve() -> &'static [f32] {
     })
 }
 
-/// Nearly normal from one hash: the sum of its four bytes, scaled to variance 1 (Irwin-Hall of order 4).
+/// A nearly normal number from one hash: the sum of its four bytes, scaled to variance 1 (Irwin-Hall of order 4).
 fn normal(bits: u32) -> f32 {
     let sum: u32 = bits.to_le_bytes().iter().map(|&b| u32::from(b)).sum();
     (sum as f32 - 510.0) / 147.8

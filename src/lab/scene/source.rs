@@ -4,10 +4,10 @@ use super::{Drive, DriveSpec, Renderer};
 use crate::capture::pixels::Pixels;
 use crate::capture::{Frame, FrameSource, Picture, SourceError, time_of};
 
-/// Opens a rendered drive by what stands behind `scene:`.
+/// Opens a rendered drive from the text after `scene:`.
 ///
 /// # Errors
-/// When that is not understood.
+/// When the text is not understood.
 pub fn open(spec: &str) -> Result<Box<dyn FrameSource>, SourceError> {
     let spec: DriveSpec = spec
         .parse()

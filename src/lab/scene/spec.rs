@@ -5,13 +5,13 @@ use std::str::FromStr;
 use super::conditions::{Condition, ConditionError};
 use super::world::{Look, World, WorldError};
 
-/// Size at which drives are rendered unless told otherwise, pixels: that of the built-in encoder.
+/// Default size of rendered drives, pixels: that of the built-in encoder.
 const SIZE_PX: (u32, u32) = (320, 160);
 
 /// A rendered drive as a frame source.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DriveSpec {
-    /// Look, and elements left out.
+    /// Look, and elements that are left out.
     pub world: World,
     /// Seed of the drive.
     pub seed: u64,
@@ -26,7 +26,7 @@ pub struct DriveSpec {
 }
 
 impl Default for DriveSpec {
-    /// What holds for all that a user leaves out.
+    /// Values for everything that a user does not give.
     fn default() -> Self {
         Self {
             world: World::default(),
@@ -40,7 +40,7 @@ impl Default for DriveSpec {
 }
 
 impl DriveSpec {
-    /// Frames of the whole drive.
+    /// Number of frames of the whole drive.
     pub fn frames(&self) -> u64 {
         // Both factors are positive and their product is at most 86,400 s of 240 frames.
         #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)]
@@ -53,12 +53,12 @@ impl DriveSpec {
 /// A drive that cannot be read.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum SpecError {
-    /// The look or an element is not one of ours.
+    /// The look or an element does not exist.
     #[error("scene {found:?}: {error}")]
     World {
-        /// As typed.
+        /// The text as typed.
         found: String,
-        /// What would do.
+        /// What was wanted.
         error: WorldError,
     },
     /// A parameter is unknown or has a value out of range.
@@ -69,9 +69,9 @@ pub enum SpecError {
     /// A condition cannot be read.
     #[error("scene condition {found:?}: {error}")]
     Condition {
-        /// As typed.
+        /// The text as typed.
         found: String,
-        /// What would do.
+        /// What was wanted.
         error: ConditionError,
     },
 }

@@ -1,4 +1,4 @@
-//! Paints what stands on the road and beside it, the farthest first: vehicles, rails, trees, buildings, posts.
+//! Paints the objects on the road and beside it, the farthest first: vehicles, rails, trees, buildings, posts.
 
 use super::canvas::{Canvas, Lamp};
 use super::light::{Colour, blended, scaled};
@@ -7,16 +7,16 @@ use super::noise::value_noise;
 use super::surroundings::{ObjectKind, Rail, RoadsideObject};
 use super::traffic::Vehicle;
 
-/// What stands there, beside its distance.
+/// An object, with its distance beside it.
 enum Standing<'a> {
     Roadside(RoadsideObject),
     Vehicle(Vehicle),
-    /// A rail, its offset from the middle of the ego lane, and the station at its far end.
+    /// A rail, its offset from the middle of the ego lane, and the point of the road at its far end.
     Rail(&'a Rail, f32, usize),
 }
 
 impl Moment<'_> {
-    /// Paints what stands on the road and beside it, the farthest first.
+    /// Paints the objects on the road and beside it, the farthest first.
     pub(super) fn paint_standing(&self, canvas: &mut Canvas, mask: &mut [u8]) {
         let (drive, s_m) = (self.drive, self.pose.s_m);
         let edges_m = drive.layout.asphalt_m;
@@ -57,7 +57,7 @@ impl Moment<'_> {
         }
     }
 
-    /// Paints a rail between two stations of the road, `node` the farther one.
+    /// Paints a rail between two points of the road; `node` is the farther one.
     fn paint_rail(&self, rail: &Rail, d_m: f32, node: usize, canvas: &mut Canvas, mask: &mut [u8]) {
         let ends = [self.ahead.nodes[node - 1], self.ahead.nodes[node]].map(|node| {
             let x_m = d_m + node.lateral_m - self.pose.sway_m - self.drive.camera.aside_m;
@@ -77,7 +77,7 @@ impl Moment<'_> {
             let across = if across.is_nan() { 0.0 } else { across };
             let at = |near: f32, far: f32| near + across * (far - near);
             let (top, foot) = (at(near.1, far.1), at(near.2, far.2).min(crest));
-            // Distances are even in 1/z along a line in the picture.
+            // Along a line in the picture, distances are evenly spaced in 1/z.
             let z_m = 1.0 / at(1.0 / near.3, 1.0 / far.3);
             for y in Board::pixels(top - 0.5, foot + 0.5, canvas.height) {
                 let cover = (foot.min(y as f32 + 1.0) - top.max(y as f32)).clamp(0.0, 1.0);
@@ -94,7 +94,7 @@ impl Moment<'_> {
         }
     }
 
-    /// The board of something `size_m` wide and high at `z_m`, `d_m`; `None` if it cannot be seen.
+    /// The board of an object with width and height `size_m` at `z_m`, `d_m`; `None` if it cannot be seen.
     fn board(&self, z_m: f32, d_m: f32, size_m: (f32, f32)) -> Option<Board> {
         let node = self.ahead.at(z_m).filter(|n| n.z_m > 3.0)?;
         let x_m = d_m + node.lateral_m - self.pose.sway_m - self.drive.camera.aside_m;
@@ -236,7 +236,7 @@ impl Board {
         inside((from - 0.5).ceil()) as usize..inside((to + 0.5).floor()) as usize
     }
 
-    /// Paints where `colour_at(across, up)` has a colour, both from 0 to 1; covers labels behind it.
+    /// Paints where `colour_at(across, up)` has a colour, with both arguments from 0 to 1; it hides labels behind it.
     fn paint(
         &self,
         canvas: &mut Canvas,
@@ -250,7 +250,8 @@ impl Board {
                 let column = x as f32 + 0.5;
                 let across = ((column - self.left) / width_px).clamp(0.0, 1.0);
                 if let Some(colour) = colour_at(across, up) {
-                    // Share of the pixel's width that the board covers: edges do not flicker as things come near.
+                    // Share of the pixel's width that the board covers, so that edges do not flicker when objects come
+                    // near.
                     let cover = ((self.right - column).min(column - self.left) + 0.5)
                         .clamp(0.0, 1.0)
                         .min(width_px);

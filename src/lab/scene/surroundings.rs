@@ -1,4 +1,4 @@
-//! What lies and stands around the paint: asphalt, verge, far hills, and boxes along the roadside.
+//! What is around the paint: asphalt, verge, far hills, and objects along the roadside.
 
 use super::light::{Colour, blended, scaled};
 use super::noise::{Draws, NoiseRow, hash, unit, wander};
@@ -12,12 +12,13 @@ pub struct Surroundings {
     asphalt_seed: u32,
     tracks: f32,
     patches: f32,
-    /// Offset of the joint along the road from each lane's middle, metres, and distance of joints across it.
+    /// Offset of the joint along the road from the middle of each lane, metres, and distance between joints across the
+    /// road.
     joints: Option<(f32, f64)>,
     joint_tone: f32,
     /// Darkness of the oil in the middle of lanes.
     oil: f32,
-    /// Length after which textures repeat, metres; infinite in a world that does not repeat.
+    /// Length after which textures repeat, metres; infinite in a world without repetition.
     tile_m: f64,
     /// Base colour of the verge.
     pub verge: Colour,
@@ -44,7 +45,7 @@ pub struct Rail {
     pub colour: Colour,
 }
 
-/// A thing beside the road, drawn as an upright board.
+/// An object beside the road, drawn as an upright board.
 #[derive(Clone, Copy, Debug)]
 pub struct RoadsideObject {
     /// Arc length, metres.
@@ -53,7 +54,7 @@ pub struct RoadsideObject {
     pub d_m: f32,
     /// Width and height, metres.
     pub size_m: (f32, f32),
-    /// What it is.
+    /// Kind of the object.
     pub kind: ObjectKind,
     /// Its colour in full light.
     pub colour: Colour,
@@ -64,17 +65,17 @@ pub struct RoadsideObject {
 /// Kinds of roadside object.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ObjectKind {
-    /// A crown with ragged edge over a trunk.
+    /// A crown with a ragged edge over a trunk.
     Tree,
     /// A cone on a short trunk.
     Conifer,
     /// A box with rows of windows.
     Building,
-    /// A slim post, some with a plate.
+    /// A thin post; some posts have a plate.
     Post,
 }
 
-/// Spacing of the roadside grid that may hold one object a side, metres.
+/// Spacing of the roadside grid, whose cells may hold one object on each side, metres.
 const OBJECT_CELL_M: f64 = 9.0;
 
 impl Surroundings {
@@ -154,7 +155,7 @@ impl Surroundings {
         }
     }
 
-    /// Ground textures along one image row at arc length `s_m`; `length_m` is the row's stretch of road.
+    /// Ground textures along one image row at arc length `s_m`; `length_m` is the length of road that the row shows.
     pub fn ground_row(&self, s_m: f64, length_m: f32) -> GroundRow<'_> {
         let across = self.joints.is_some_and(|(_, spacing_m)| {
             let half_m = 0.5 * f64::from(length_m).max(0.06);
@@ -182,7 +183,7 @@ impl Surroundings {
         }
     }
 
-    /// Height of the far hills in direction `azimuth` of the compass, radians above the horizon.
+    /// Height of the far hills in the compass direction `azimuth`, radians above the horizon.
     pub fn hills(&self, azimuth: f64) -> f32 {
         self.hill_height
             * (0.55
@@ -195,7 +196,7 @@ impl Surroundings {
         blended(scaled(self.verge, 1.1), [0.45, 0.52, 0.60], 0.55)
     }
 
-    /// Objects between two arc lengths, farthest first; `edges_m` are the edges of the asphalt.
+    /// Objects between two arc lengths, the farthest first; `edges_m` are the edges of the asphalt.
     pub fn objects(
         &self,
         from_m: f64,
@@ -290,8 +291,8 @@ pub struct GroundRow<'a> {
 }
 
 impl GroundRow<'_> {
-    /// Asphalt at offset `d_m`; `lane_phase_m` is the distance to the nearest lane's middle, `width_m` what the pixel
-    /// covers across.
+    /// Asphalt at offset `d_m`; `lane_phase_m` is the distance to the middle of the nearest lane, and `width_m` is the
+    /// width that the pixel covers.
     pub fn asphalt(&self, d_m: f32, lane_phase_m: f32, width_m: f32) -> Colour {
         let d = f64::from(d_m);
         let fine = (self.fine.at(d / 0.25) - 0.5) * self.fine_share;
@@ -327,11 +328,11 @@ impl GroundRow<'_> {
         )
     }
 
-    /// Share of snow at offset `d_m` where `cover` of the ground lies under it.
+    /// Share of snow at offset `d_m` if the share `cover` of the ground is under snow.
     pub fn snow(&self, d_m: f32, cover: f32) -> f32 {
         let d = f64::from(d_m);
         let depth = 0.6 * self.coarse.at(d / 1.2) + 0.4 * self.verge.at(d / 0.7);
-        // The noise lies within 0.1 and 0.9 almost everywhere.
+        // The noise is between 0.1 and 0.9 almost everywhere.
         ((0.1 + 0.8 * cover - depth) * 8.0 + 0.5).clamp(0.0, 1.0)
             * if cover > 0.0 { 0.95 } else { 0.0 }
     }

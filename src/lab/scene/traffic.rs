@@ -1,5 +1,5 @@
-//! Other vehicles. Each lane's traffic stands still in a frame that moves at the lane's speed, so any moment can be
-//! asked for at once and a drive needs no end.
+//! Other vehicles. The traffic of each lane is at rest in a frame of reference that moves with the speed of the lane,
+//! so that any moment can be calculated directly, and a drive needs no end.
 
 use super::light::Colour;
 use super::markings::Layout;
@@ -7,7 +7,7 @@ use super::noise::{Draws, hash, wander};
 use super::road::{Pose, Road};
 use super::world::{Element, World};
 
-/// Spacing of the grid that may hold one vehicle, metres.
+/// Spacing of the grid, whose cells may hold one vehicle, metres.
 const CELL_M: f64 = 34.0;
 
 /// A vehicle ahead of the car.
@@ -19,9 +19,9 @@ pub struct Vehicle {
     pub d_m: f32,
     /// Width and height, metres.
     pub size_m: (f32, f32),
-    /// Paint.
+    /// Colour of its paint.
     pub colour: Colour,
-    /// Its front is seen, not its back.
+    /// Whether its front is seen instead of its back.
     pub oncoming: bool,
 }
 
@@ -45,7 +45,7 @@ impl Traffic {
         }
     }
 
-    /// Vehicles between 7 and 160 m ahead, farthest first.
+    /// Vehicles between 7 and 160 m ahead, the farthest first.
     pub fn ahead(&self, t_s: f64, pose: &Pose, road: &Road, layout: &Layout) -> Vec<Vehicle> {
         let mut seen = Vec::new();
         if self.draws.chance("lead vehicle", 1.2 * self.density) {
@@ -59,7 +59,7 @@ impl Traffic {
             .enumerate()
             .filter(|(_, m)| m.abs() > 0.1)
         {
-            // The left overtakes, the right is slower: a lane's width more to the left is 3 m/s faster.
+            // Left lanes overtake and right lanes are slower: each lane farther to the left is 3 m/s faster.
             let speed_mps = road.speed_mps - 3.0 * middle_m / layout.lane_width_m;
             self.lane_ahead(
                 lane as i32,

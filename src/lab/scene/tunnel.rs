@@ -1,4 +1,4 @@
-//! A tunnel over a stretch of road: walls, ceiling, lamps, and how much light is left inside.
+//! A tunnel over a part of the road: walls, ceiling, lamps, and the light inside.
 
 use super::canvas::Canvas;
 use super::conditions::{Condition, ConditionKind, RAMP_S, TUNNEL_LIGHT, graded};
@@ -7,13 +7,13 @@ use super::noise::Draws;
 use super::projection::Projection;
 use super::road::{Road, RoadAhead};
 
-/// Height of the ceiling, metres: Europe's road tunnels keep 4.5 to 5.5 m clear.
+/// Height of the ceiling, metres: road tunnels in Europe have a clear height of 4.5 to 5.5 m.
 const CEILING_M: f32 = 5.5;
 /// Distance between the asphalt's edge and the wall, metres.
 const CLEAR_M: f32 = 0.8;
 /// Distance between two ceiling lamps and length of one, metres.
 const LAMPS_M: (f64, f64) = (9.0, 1.4);
-/// Daylight reaches so far into the tunnel before it has fallen to 1/e, metres.
+/// Distance in the tunnel at which daylight has fallen to 1/e, metres.
 const DAYLIGHT_REACH_M: f32 = 14.0;
 /// Height of the portal's face, metres.
 const PORTAL_M: f32 = 9.0;
@@ -34,8 +34,8 @@ pub struct Tunnel {
 impl Tunnel {
     /// The darkest tunnel of `conditions` that is near the car at arc length `s_m`.
     ///
-    /// The car passes the entrance where the condition begins to grow and the exit where it has gone; one without a span
-    /// has no ends.
+    /// The car passes the entrance when the condition begins to grow, and the exit when the condition is gone. A tunnel
+    /// without a span has no ends.
     pub fn near(
         conditions: &[Condition],
         road: &Road,
@@ -68,12 +68,12 @@ impl Tunnel {
             .min_by(|a, b| a.light.total_cmp(&b.light))
     }
 
-    /// Whether something beside the road at distance `z_m` would stand in the rock.
+    /// Whether an object beside the road at distance `z_m` would be inside the rock.
     pub fn covers(&self, z_m: f32) -> bool {
         (self.ends_m.0..self.ends_m.1).contains(&z_m)
     }
 
-    /// Share of daylight at distance `z_m`: 1 outside, inside what the lamps and the portals give.
+    /// Share of daylight at distance `z_m`: 1 outside; inside, the light of the lamps and portals.
     fn light_at(&self, z_m: f32) -> Colour {
         if !self.covers(z_m) {
             return [1.0; 3];
@@ -83,9 +83,9 @@ impl Tunnel {
         self.tint.map(|tint| self.light * tint * (1.0 - day) + day)
     }
 
-    /// Paints walls and ceiling over everything but the ground between the walls, and darkens that.
+    /// Paints walls and ceiling over everything except the ground between the walls, and darkens that ground.
     ///
-    /// `aside_m` is the camera's place in the ego lane.
+    /// `aside_m` is the lateral position of the camera in the ego lane.
     pub fn paint(
         &self,
         canvas: &mut Canvas,
@@ -132,7 +132,7 @@ impl Tunnel {
                     }
                     continue;
                 }
-                // What stands or lies nearer than the wall stays, in the tunnel's light.
+                // What is nearer than the wall stays visible, in the light of the tunnel.
                 let depth_m = canvas.depth_m[pixel];
                 match met(&sections, at) {
                     Some(section) if section.z_m < depth_m => {
@@ -157,7 +157,7 @@ impl Tunnel {
             let up = (section.foot - at.1) / (section.foot - section.top);
             return lit(if up < 0.18 { 0.22 } else { 0.48 });
         }
-        // On the ceiling: the ray meets the height of the lamps at another distance than the section's.
+        // On the ceiling: the ray reaches the height of the lamps at another distance than that of the section.
         let rise_px = (projection.horizon_y - at.1).max(0.5);
         let z_m = (CEILING_M - projection.height_m) * projection.focal_px / rise_px;
         let across = (at.0 - section.left) / (section.right - section.left);
@@ -172,7 +172,7 @@ impl Tunnel {
     }
 }
 
-/// Where a ray through `at` leaves the tunnel; `None` when it does not before the last section.
+/// Where a ray through `at` leaves the tunnel; `None` if it does not leave it before the last section.
 fn met(sections: &[Section], at: (f32, f32)) -> Option<Section> {
     let beyond = sections.iter().position(|section| !section.holds(at))?;
     let (far, Some(near)) = (
@@ -181,7 +181,7 @@ fn met(sections: &[Section], at: (f32, f32)) -> Option<Section> {
     ) else {
         return Some(sections[beyond]);
     };
-    // Outlines are straight between two sections: how far along does the first of their edges cross the ray?
+    // Outlines are straight between two sections. This finds where the first of their edges crosses the ray.
     let crossing = |edge: fn(&Section) -> f32, at: f32, outside: bool| {
         if outside {
             ((at - edge(near)) / (edge(far) - edge(near))).clamp(0.0, 1.0)
@@ -210,7 +210,7 @@ impl Section {
     fn towards(&self, far: &Self, share: f32) -> Self {
         let at = |near: f32, far: f32| near + share * (far - near);
         Self {
-            // Distances are even in 1/z along a line in the picture.
+            // Along a line in the picture, distances are evenly spaced in 1/z.
             z_m: 1.0 / at(1.0 / self.z_m, 1.0 / far.z_m),
             left: at(self.left, far.left),
             right: at(self.right, far.right),
@@ -219,7 +219,7 @@ impl Section {
         }
     }
 
-    /// Whether a ray through `at` is still between walls and below the ceiling here.
+    /// Whether a ray through `at` is still between the walls and below the ceiling here.
     fn holds(&self, at: (f32, f32)) -> bool {
         at.0 >= self.left && at.0 <= self.right && at.1 >= self.top
     }

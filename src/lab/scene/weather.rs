@@ -1,4 +1,4 @@
-//! Air and light: what weather and night do to the light of a scene on its way to the lens.
+//! Air and light: how weather and night change the light of a scene on its way to the lens.
 
 use super::canvas::Canvas;
 use super::conditions::{
@@ -9,7 +9,7 @@ use super::light::{Colour, blended, scaled};
 use super::noise::uniform;
 use super::projection::Projection;
 
-/// Applies night, haze, rain and snow in the air; `clear` is the extinction of the day's own air, 1/m.
+/// Applies night, haze, rain and snow in the air; `clear` is the extinction of the air on that day, 1/m.
 pub fn apply(
     canvas: &mut Canvas,
     projection: &Projection,
@@ -126,7 +126,7 @@ fn streaks(canvas: &mut Canvas, count_320: f32, brightness: f32, time_seed: u32)
     }
 }
 
-/// Flakes: small soft discs, the nearer the larger, blurred by their fall.
+/// Flakes: small soft discs, which are larger when they are nearer, and blurred by their fall.
 fn flakes(canvas: &mut Canvas, count_320: f32, brightness: f32, time_seed: u32) {
     let scale = canvas.width as f32 / 320.0;
     for i in 0..count_320 as usize {

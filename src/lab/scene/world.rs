@@ -1,4 +1,4 @@
-//! Which world a drive is rendered in: its look, and which elements it is made of.
+//! The world in which a drive is rendered: its look and its elements.
 
 use std::fmt;
 use std::str::FromStr;
@@ -9,8 +9,8 @@ pub enum Look {
     /// The plain look that the shipped lane models are trained on.
     #[default]
     Sim,
-    /// The plain look brought nearer to a real camera: finer and dirtier surfaces, hazy air, lens and sensor. Plays the
-    /// adapted simulation of a sim-to-real study.
+    /// The plain look, changed towards a real camera: finer and dirtier surfaces, hazy air, lens and sensor. It has the
+    /// role of the adapted simulation in a sim-to-real study.
     Realistic,
     /// Another simulator: other materials and light, a wide camera high in a van with its bonnet in view.
     Game,
@@ -30,7 +30,7 @@ impl Look {
     }
 }
 
-/// A look or an element that does not exist. Who reports it says what was found.
+/// A look or an element that does not exist. The caller reports what was found.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("no such {what}; wanted {known}")]
 pub struct WorldError {
@@ -56,8 +56,8 @@ impl fmt::Display for Look {
     }
 }
 
-/// What a scene is made of beyond a flat straight road with paint under an even sky. Each can be left out, to measure
-/// what it does for the lane model or the gap.
+/// What a scene contains besides a flat straight road with paint under an even sky. Each element can be left out, to
+/// measure its effect on the lane model or on the gap.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Element {
     /// Curvature of the road.
@@ -152,7 +152,7 @@ impl fmt::Display for Element {
     }
 }
 
-/// A look and the elements left out of it.
+/// A look and the elements that are left out of it.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct World {
     /// The look.
@@ -175,7 +175,7 @@ impl World {
         !self.without.contains(&element)
     }
 
-    /// `value` where the element is there, else `absent`.
+    /// `value` if the element is there, else `absent`.
     pub fn when<T>(&self, element: Element, value: T, absent: T) -> T {
         if self.has(element) { value } else { absent }
     }

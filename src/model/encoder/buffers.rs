@@ -10,12 +10,12 @@ pub struct Buffers {
     picture: Vec<f32>,
     slots: Vec<Vec<f32>>,
     outputs: Vec<Vec<f32>>,
-    /// A row of the picture and one of the widest value, and one value more.
+    /// Room for a row of the picture, a row of the widest value, and one more value.
     scratch: Vec<f32>,
 }
 
 impl Buffers {
-    /// For one plan.
+    /// Buffers for one plan.
     pub fn new(plan: &Plan) -> Self {
         Self {
             picture: vec![0.0; plan.picture.len()],
@@ -58,7 +58,7 @@ impl Buffers {
     fn step(&mut self, kernel: Vectors, planar: Planar, step: &Step) {
         match step {
             Step::Compute { work, output } => {
-                // What is written is taken out while everything else is read.
+                // The output is taken out of the slots while all other slots are read.
                 let mut values = std::mem::take(&mut self.slots[output.slot]);
                 let place = (&mut *values, output.view);
                 match work {
@@ -101,7 +101,7 @@ impl Buffers {
         (&self.slots[place.slot], place.view)
     }
 
-    /// All but convolutions, which choose their instructions themselves.
+    /// Computes everything except convolutions, which choose their instructions themselves.
     #[inline(always)]
     fn compute(
         &mut self,

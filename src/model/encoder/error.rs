@@ -16,7 +16,7 @@ pub enum EncoderError {
     NoTap {
         /// File or built-in name.
         model: String,
-        /// As asked for.
+        /// Name that was asked for.
         tap: String,
         /// Names that exist: the outputs, then the inner values in the order of the graph.
         known: String,
@@ -35,7 +35,7 @@ pub enum EncoderError {
         /// Wanted width, pixels.
         width: u32,
     },
-    /// A tap that is no stack of maps.
+    /// A tap that is not a stack of maps.
     #[error(
         "{model}: tap {tap} has shape {found}; wanted [1, channels, height, width] of at least 2 by 2 cells"
     )]
@@ -47,7 +47,7 @@ pub enum EncoderError {
         /// Its shape.
         found: String,
     },
-    /// A lane head that does not answer pixel by pixel.
+    /// A lane head that does not give one value for each pixel.
     #[error("{model}: lane output {lane} has shape {found}; wanted [1, 1, {height}, {width}]")]
     LaneShape {
         /// File or built-in name.

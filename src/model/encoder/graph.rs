@@ -1,9 +1,9 @@
-//! An encoder as a graph of the few operators that lane models are made of, and the rewrites that make it shorter.
+//! An encoder as a graph of the few operators of lane models, and the rewrites that make it shorter.
 
-/// A node's place in its graph.
+/// Index of a node in its graph.
 pub type NodeId = usize;
 
-/// What follows a sum.
+/// The function that is applied to a sum.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum Activation {
     /// Nothing.
@@ -16,7 +16,7 @@ pub enum Activation {
 }
 
 impl Activation {
-    /// Of one value.
+    /// Applies it to one value.
     #[inline(always)]
     pub fn of(self, value: f32) -> f32 {
         match self {
@@ -26,7 +26,7 @@ impl Activation {
         }
     }
 
-    /// Of every value, in place.
+    /// Applies it to every value, in place.
     #[inline(always)]
     pub fn of_all(self, values: &mut [f32]) {
         match self {
@@ -39,27 +39,27 @@ impl Activation {
     }
 }
 
-/// A window that moves over a picture; first the vertical, then the horizontal.
+/// A window that moves over a picture. In each field, the first number is vertical and the second is horizontal.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Window {
-    /// Cells.
+    /// Number of cells.
     pub kernel: [usize; 2],
     /// Pixels from one position to the next.
     pub stride: [usize; 2],
     /// Pixels from one cell to the next.
     pub dilation: [usize; 2],
-    /// Pixels that the first position begins above and left of the picture.
+    /// Pixels by which the first position is above and left of the picture.
     pub before: [usize; 2],
 }
 
 /// What a node computes.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Op {
-    /// The input of the whole.
+    /// The input of the whole graph.
     Picture,
-    /// Convolution of the first input; a second is added to it.
+    /// Convolution of the first input; a second input is added to the result.
     Conv {
-        /// Which pixels; those outside of the picture are 0.
+        /// The pixels that are used; pixels outside of the picture are 0.
         window: Window,
         /// `[outputs, inputs, kernel height, kernel width]`.
         weights: Vec<f32>,
@@ -68,11 +68,11 @@ pub enum Op {
     },
     /// Largest value in a window; pixels outside of the picture do not count.
     MaxPool(Window),
-    /// Sum of two. The second may have fewer channels: those that it has not are 0.
+    /// Sum of two inputs. The second one may have fewer channels: its missing channels are 0.
     Add,
-    /// Channels of all inputs one after the other; where more are wanted, channels of 0 follow.
+    /// Channels of all inputs, one after the other. If more are wanted, channels of 0 follow.
     Concat,
-    /// Rows and columns of zeros around the picture: above and left.
+    /// Rows of zeros above and columns of zeros left of the picture.
     Margin([usize; 2]),
     /// Each channel times its factor plus its offset.
     Scale {
@@ -93,13 +93,13 @@ pub enum Op {
 /// One value of the graph.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Node {
-    /// What it is.
+    /// What it computes.
     pub op: Op,
-    /// Of what.
+    /// Nodes from which it is computed.
     pub inputs: Vec<NodeId>,
     /// Channels, height, width.
     pub shape: [usize; 3],
-    /// Of the result.
+    /// Activation of the result.
     pub activation: Activation,
 }
 
@@ -108,7 +108,7 @@ pub struct Node {
 pub struct Graph {
     /// All nodes.
     pub nodes: Vec<Node>,
-    /// What is wanted, in this order.
+    /// Nodes that are wanted, in this order.
     pub outputs: Vec<NodeId>,
 }
 
@@ -136,8 +136,8 @@ impl Graph {
         id
     }
 
-    /// The same values from fewer nodes: factors, activations and sums go into the convolution before them, margins into
-    /// the one after them, and what does not lead to an output goes away.
+    /// Gives the same values with fewer nodes: factors, activations and sums are merged into the convolution before
+    /// them, and margins into the convolution after them. Nodes that do not lead to an output are removed.
     pub fn fused(mut self) -> Self {
         self.absorb_margins();
         for id in 0..self.nodes.len() {
@@ -147,7 +147,7 @@ impl Graph {
         self.without_unused()
     }
 
-    /// How often each node is asked for.
+    /// How often each node is used.
     pub fn uses(&self) -> Vec<usize> {
         let mut uses = vec![0; self.nodes.len()];
         let inputs = self.nodes.iter().flat_map(|node| &node.inputs);
@@ -157,12 +157,12 @@ impl Graph {
         uses
     }
 
-    /// Whether a node is asked for once only, by another node.
+    /// Whether a node is used exactly once, by another node.
     fn inner(&self, id: NodeId) -> bool {
         self.uses()[id] == 1 && !self.outputs.contains(&id)
     }
 
-    /// Everyone who asked for `of` gets `by`.
+    /// Replaces every use of `of` by `by`.
     fn replace(&mut self, of: NodeId, by: NodeId) {
         let inputs = self.nodes.iter_mut().flat_map(|node| &mut node.inputs);
         for id in inputs.chain(&mut self.outputs) {
@@ -190,7 +190,7 @@ impl Graph {
         }
     }
 
-    /// Takes a factor, an offset and an activation into the node before them.
+    /// Merges a factor, an offset and an activation into the node before them.
     fn absorb_scale(&mut self, id: NodeId) {
         let Op::Scale { factor, offset } = &self.nodes[id].op else {
             return;
@@ -201,7 +201,7 @@ impl Graph {
         if !self.inner(input) || self.nodes[input].activation != Activation::None {
             return;
         }
-        // Exactly: a factor of 1 and an offset of 0 change nothing.
+        // This is exact: a factor of 1 and an offset of 0 change nothing.
         #[allow(clippy::float_cmp)]
         let pure = factor.iter().all(|&f| f == 1.0) && offset.iter().all(|&o| o == 0.0);
         let parts_take_it = self.concat_of_inner(input);
@@ -218,7 +218,7 @@ impl Graph {
                 }
             }
             Op::Conv { .. } | Op::Add | Op::MaxPool(_) | Op::Resize if pure => {}
-            // Of channels of zeros every activation is zeros.
+            // Every activation of channels of zeros is zero.
             Op::Concat if pure && parts_take_it => {
                 let inputs = self.nodes[input].inputs.clone();
                 for part in inputs {
@@ -233,7 +233,7 @@ impl Graph {
         self.replace(id, input);
     }
 
-    /// Whether every part of a concatenation can take an activation for itself.
+    /// Whether an activation can be moved into every part of a concatenation.
     fn concat_of_inner(&self, id: NodeId) -> bool {
         self.nodes[id].inputs.iter().all(|&part| {
             let node = &self.nodes[part];
@@ -243,7 +243,7 @@ impl Graph {
         })
     }
 
-    /// Takes a sum into the convolution that makes one of its terms.
+    /// Merges a sum into the convolution that makes one of its terms.
     fn absorb_sum(&mut self, id: NodeId) {
         if self.nodes[id].op != Op::Add {
             return;
@@ -270,7 +270,7 @@ impl Graph {
         self.nodes[id].inputs = vec![a, b];
     }
 
-    /// What channels of zeros were added to, if nothing else was done.
+    /// The node before channels of zeros were added, if nothing else was done.
     fn before_filling(&self, id: NodeId) -> NodeId {
         match self.nodes[id].inputs[..] {
             [filled] if self.nodes[id].op == Op::Concat => filled,

@@ -7,13 +7,14 @@ thread_local! {
     static IN_TRACT: Cell<bool> = const { Cell::new(false) };
 }
 
-/// Whether this thread is loading a model or inside tract, where a panic is caught and becomes an error: a panic hook may
-/// stay silent.
+/// Whether this thread is loading a model or inside tract, where a panic is caught and becomes an error, so that a
+/// panic hook may stay silent.
 pub fn in_tract() -> bool {
     IN_TRACT.get()
 }
 
-/// Runs tract's code, which panics on some malformed models, or plans and tries our own, and turns a panic into an error.
+/// Runs code of tract, which panics on some malformed models, or plans and tests our own executor, and turns a panic
+/// into an error.
 pub fn contained<T>(work: impl FnOnce() -> T) -> Result<T, String> {
     let before = IN_TRACT.replace(true);
     let outcome = catch_unwind(AssertUnwindSafe(work));
@@ -24,7 +25,7 @@ pub fn contained<T>(work: impl FnOnce() -> T) -> Result<T, String> {
             .or_else(|| panic.downcast_ref::<&str>().copied())
             .unwrap_or_default();
         format!(
-            "the inference engine gave up on it ({})",
+            "the inference engine failed with it ({})",
             said.lines().next().unwrap_or_default()
         )
     })

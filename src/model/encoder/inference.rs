@@ -1,4 +1,4 @@
-//! What tract read of a file, before it is used: sizes, shapes, names and constants.
+//! Checks of what tract read from a file, before it is used: sizes, shapes, names and constants.
 
 use tract_onnx::prelude::*;
 use tract_onnx::tract_hir::infer::{Factoid, GenericFactoid, ShapeFactoid};
@@ -18,7 +18,8 @@ pub fn largest(model: &InferenceModel) -> Option<(String, u64)> {
         .max_by_key(|&(_, volume)| volume)
 }
 
-/// Whether an input declared so takes pictures of this shape: what the file leaves open or gives a name is free.
+/// Whether an input with this declaration accepts pictures of this shape: dimensions that are open or have a name in
+/// the file are free.
 pub fn admits(declared: &ShapeFactoid, wanted: &[usize; 4]) -> bool {
     let dims: Vec<_> = declared.dims().collect();
     let rank_fits = dims.len() == wanted.len() || (declared.is_open() && dims.len() < wanted.len());
@@ -29,8 +30,8 @@ pub fn admits(declared: &ShapeFactoid, wanted: &[usize; 4]) -> bool {
         })
 }
 
-/// The first constant with a NaN, or with an infinity among other values (one alone may be a bound that is none). A ReLU
-/// of tract turns NaN into 0, so they would not show in the taps.
+/// The first constant with a NaN, or with an infinity among other values. (A single infinity may be an open bound.) A
+/// ReLU of tract turns NaN into 0, so these values would not be visible in the taps.
 pub fn broken_constant(model: &InferenceModel) -> Option<String> {
     model.nodes().iter().find_map(|node| {
         let value = node
@@ -56,7 +57,7 @@ pub fn root(error: &TractError) -> String {
         .collect()
 }
 
-/// The names in order, shortened in the middle when there are many.
+/// The names in their order, shortened in the middle if there are many.
 pub fn listed<'a>(names: impl Iterator<Item = &'a String>) -> String {
     let names: Vec<&str> = names
         .map(String::as_str)

@@ -1,4 +1,4 @@
-//! The inner loops for the instructions of this processor: every load and store is proved before a loop is entered.
+//! The inner loops for the instructions of this processor. Every load and store is checked before a loop is entered.
 #![allow(unsafe_code)]
 
 use super::layout::LANES;
@@ -8,9 +8,10 @@ use super::x86;
 use crate::model::vectors::Vectors;
 
 impl Vectors {
-    /// Adds `rounds` times [`REGISTERS`] vectors of products without touching memory: what this processor can do at most.
+    /// Adds `rounds` times [`REGISTERS`] vectors of products without access to memory, which is the peak speed of this
+    /// processor.
     pub fn products_in_registers(self, rounds: u64) -> f32 {
-        // SAFETY: touches nothing but two arrays of its own. The instructions are those of `run`.
+        // SAFETY: it accesses only two arrays of its own. For the instructions, see `run`.
         unsafe {
             match self {
                 #[cfg(target_arch = "x86_64")]
@@ -22,10 +23,10 @@ impl Vectors {
         }
     }
 
-    /// Lets pixels compete.
+    /// Replaces each output value by the larger one of it and its input value.
     ///
     /// # Panics
-    /// When the input has too few: a bug of the plan, never of a model or a picture.
+    /// When the input has too few values, which is a bug of the plan, and never caused by a model or a picture.
     pub fn rival(self, row: Rivals<'_>) {
         let pixels = row.output.len() / LANES;
         let last = pixels.saturating_sub(1).saturating_mul(row.stride);
@@ -34,8 +35,8 @@ impl Vectors {
             pixels == 0 || end <= row.input.len(),
             "a pooling reads outside of its input"
         );
-        // SAFETY: of output pixel `p` of `0..pixels` the loops touch its `LANES` values and those of input pixel
-        // `p * stride`, at most `last`; both were compared with the slices above. The instructions are those of `run`.
+        // SAFETY: for output pixel `p` in `0..pixels`, the loops access its `LANES` values and those of input pixel `p
+        // * stride`, at most `last`; both were compared with the slices above. For the instructions, see `run`.
         unsafe {
             match self {
                 #[cfg(target_arch = "x86_64")]
@@ -50,7 +51,8 @@ impl Vectors {
     /// Computes a row.
     ///
     /// # Panics
-    /// When a load or store of the row would lie outside of its slices: a bug of the plan, never of a model or a picture.
+    /// When a load or store of the row would be outside of its slices, which is a bug of the plan, and never caused by
+    /// a model or a picture.
     pub fn run(self, row: Row<'_>) {
         let width = row.output.len() / LANES;
         let reach = width.saturating_sub(1).saturating_mul(row.step);
@@ -67,11 +69,11 @@ impl Vectors {
             row.residual.is_none_or(|r| r.len() >= width * LANES),
             "a convolution adds too short a row"
         );
-        // SAFETY: the kernels read `LANES` values of `bias`, and of every run the weights `weights..weights + len * LANES`
-        // and, for each pixel `p` of `0..width`, the inputs `input + p * step..input + p * step + len`: at most
-        // `input + reach + len`; both were compared with the slices above. Of `residual` and `output` they touch
-        // `width * LANES` values, which they have. Rows of no pixel touch nothing but `bias`. AVX-512 and AVX2 come from
-        // `available` alone, which has asked the processor.
+        // SAFETY: the kernels read `LANES` values of `bias`. For every run they read the weights `weights..weights +
+        // len * LANES` and, for each pixel `p` in `0..width`, the inputs `input + p * step..input + p * step + len`, at
+        // most `input + reach + len`; both were compared with the slices above. In `residual` and `output` they access
+        // `width * LANES` values, which exist. Rows without pixels access only `bias`. AVX-512 and AVX2 come only from
+        // `available`, which has asked the processor.
         unsafe {
             match self {
                 #[cfg(target_arch = "x86_64")]

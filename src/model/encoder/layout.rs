@@ -1,11 +1,12 @@
-//! How activations lie in memory: sixteen channels side by side, with room for zeros left and right of every row.
+//! How activations are stored in memory: sixteen channels side by side, with room for zeros left and right of every
+//! row.
 
-/// Channels side by side: a vector of AVX-512, two of AVX2, four of NEON.
+/// Number of channels side by side: one vector of AVX-512, two of AVX2, four of NEON.
 pub const LANES: usize = 16;
 
 /// Activations `[height][blocks][left + width + right][LANES]`. The last block is filled up with channels of zeros.
 ///
-/// A convolution reads the zeros beside the rows as it reads the picture; rows above and below it leaves out.
+/// A convolution reads the zeros beside the rows like pixels, and leaves out rows above and below the picture.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Blocked {
     /// Blocks of [`LANES`] channels.
@@ -14,9 +15,9 @@ pub struct Blocked {
     pub height: usize,
     /// Columns.
     pub width: usize,
-    /// Columns of zeros before the first.
+    /// Columns of zeros before the first column.
     pub left: usize,
-    /// Columns of zeros after the last.
+    /// Columns of zeros after the last column.
     pub right: usize,
 }
 
@@ -33,12 +34,12 @@ impl Blocked {
         self.blocks * self.pitch()
     }
 
-    /// Values in all.
+    /// Total number of values.
     pub fn len(&self) -> usize {
         self.height * self.row()
     }
 
-    /// Where the pixels of a block in a row lie.
+    /// Range of the pixels of a block in a row.
     #[inline(always)]
     pub fn pixels(&self, y: usize, block: usize) -> std::ops::Range<usize> {
         let start = y * self.row() + block * self.pitch() + self.left * LANES;
@@ -55,9 +56,9 @@ pub struct Planar {
     pub height: usize,
     /// Columns.
     pub width: usize,
-    /// Columns of zeros before the first.
+    /// Columns of zeros before the first column.
     pub left: usize,
-    /// Columns of zeros after the last.
+    /// Columns of zeros after the last column.
     pub right: usize,
 }
 
@@ -74,12 +75,12 @@ impl Planar {
         self.height * self.row()
     }
 
-    /// Values in all.
+    /// Total number of values.
     pub fn len(&self) -> usize {
         self.channels * self.plane()
     }
 
-    /// Where the pixels of a row lie.
+    /// Range of the pixels of a row.
     #[inline(always)]
     pub fn pixels(&self, channel: usize, y: usize) -> std::ops::Range<usize> {
         let start = channel * self.plane() + y * self.row() + self.left;

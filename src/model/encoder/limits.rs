@@ -1,18 +1,19 @@
-//! What an ONNX file may hold, found out from its bytes before anything is made of them.
+//! Limits of what an ONNX file may hold, checked on its bytes before they are used.
 //!
-//! Walks the protobuf's fields without keeping any: a field of two bytes can become a structure of hundreds, so they are
-//! counted before they are read. Data outside the file are refused by name. Refuses to judge the graph; that is tract's.
+//! It reads the protobuf's fields without keeping any: a field of two bytes can become a structure of hundreds of
+//! bytes, so fields are counted before they are parsed. Data outside the file are refused with an error of their own.
+//! The graph itself is checked by tract.
 
 use crate::model::ONNX_BYTES_MAX;
 
-/// Most nodes. The largest shipped model has 180; a network with a hundred layers has some thousands.
+/// Largest number of nodes. The largest shipped model has 180; a network with a hundred layers has some thousands.
 const NODES_MAX: u64 = 20_000;
-/// Most fields that become strings or structures of their own.
+/// Largest number of fields that become strings or structures of their own.
 const PARTS_MAX: u64 = 400_000;
 /// Deepest nesting: a graph in an attribute of a node of a graph is three levels.
 const DEPTH_MAX: u32 = 24;
 
-/// Messages of ONNX that are walked into (`onnx.proto`).
+/// Messages of ONNX whose fields are read (`onnx.proto`).
 #[derive(Clone, Copy, PartialEq)]
 enum Message {
     Model,
@@ -22,7 +23,7 @@ enum Message {
     Attribute,
     Tensor,
     SparseTensor,
-    /// Of strings and numbers, or of types and shapes: its parts are counted as if all could be messages.
+    /// Messages of strings and numbers, or of types and shapes: their parts are counted as if all could be messages.
     Other,
 }
 
@@ -47,13 +48,13 @@ impl Message {
             (Self::Attribute, 14 | 15) => Some(Self::Other),
             (Self::SparseTensor, 1 | 2) => Some(Self::Tensor),
             (Self::Tensor, 3 | 13 | 16) => Some(Self::Other),
-            // A type is nested in types, and its own text looks like one at worst.
+            // Types are nested in types. In the worst case, a text in them looks like a message.
             (Self::Other, 1..=9) => Some(Self::Other),
             _ => None,
         }
     }
 
-    /// Fields of packed numbers or raw bytes, which take no more memory than file.
+    /// Fields of packed numbers or raw bytes, which take no more memory than room in the file.
     fn is_data(self, field: u64) -> bool {
         match self {
             Self::Tensor => matches!(field, 1 | 4 | 5 | 7 | 9 | 10 | 11),
@@ -74,7 +75,7 @@ struct Counts {
 /// Refuses a file that is too large, holds too much or needs other files.
 ///
 /// # Errors
-/// In words what was found and what is allowed.
+/// What was found and what is allowed, as text.
 pub fn check(onnx: &[u8]) -> Result<(), String> {
     let bytes = onnx.len() as u64;
     if bytes > ONNX_BYTES_MAX {
@@ -89,14 +90,15 @@ fn walk(mut rest: &[u8], message: Message, depth: u32, counts: &mut Counts) -> R
     }
     while !rest.is_empty() {
         let Some((field, value)) = next_field(&mut rest) else {
-            // What is no field to us may be text that only looked like a message, or is tract's to complain about.
+            // What cannot be read as a field may be text that only looked like a message; otherwise tract reports the
+            // error.
             return Ok(());
         };
         if message == Message::Tensor
             && (field == 13 || (field == 14 && matches!(value, Value::Number(place) if place != 0)))
         {
             return Err(
-                "a tensor's data lie in another file (external data); wanted one file with all weights"
+                "a tensor's data are in another file (external data); wanted one file with all weights"
                     .to_owned(),
             );
         }
@@ -129,7 +131,7 @@ enum Value<'a> {
     Bytes(&'a [u8]),
 }
 
-/// The next field's number and value, which is cut off; `None` where there is none.
+/// Removes the next field and returns its number and value; `None` if there is none.
 fn next_field<'a>(rest: &mut &'a [u8]) -> Option<(u64, Value<'a>)> {
     let tag = varint(rest)?;
     let value = match tag & 7 {

@@ -1,43 +1,44 @@
 //! One row of one block of a convolution: the inner loops, for the instruction sets of this processor.
 //!
-//! Unsafe code: instructions that not every processor has, and loads without bounds checks.
-//! [`Vectors::run`] proves every load and store of the loops before it enters them.
+//! Unsafe code: instructions that not every processor has, and loads without bounds checks. [`Vectors::run`] checks
+//! every load and store of the loops before it enters them.
 //!
-//! A tile of a few neighbouring pixels by [`LANES`] output channels stays in registers while all products are added to it;
-//! each product is one weight vector times one input value. Every output is summed in the same order whatever the tile, and
-//! products are fused with their sums on AVX-512, AVX2 and 64-bit ARM, so these agree to the bit.
+//! A tile of a few neighbouring pixels by [`LANES`] output channels stays in registers while all products are added to
+//! it; each product is one weight vector times one input value. Every output is summed in the same order, whatever the
+//! tile is, and products are fused with their sums on AVX-512, AVX2 and 64-bit ARM, so the results on these are equal
+//! bit for bit.
 #![allow(unsafe_code)]
 
 use super::graph::Activation;
 use super::layout::LANES;
 
-/// Vectors of products in a round of [`Vectors::products_in_registers`].
+/// Number of vectors of products in a round of [`Vectors::products_in_registers`].
 pub const REGISTERS: usize = 12;
 
-/// A run of neighbouring input values of every pixel, and the weight vectors that they are multiplied with.
+/// A run of neighbouring input values of every pixel, and the weight vectors with which they are multiplied.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Run {
     /// Where it starts in the input, for pixel 0.
     pub input: usize,
     /// Where its weights start.
     pub weights: usize,
-    /// Values in it, each with [`LANES`] weights.
+    /// Number of values in it, each with [`LANES`] weights.
     pub len: usize,
     /// First pixel for which it reads the picture and not zeros beside it.
     pub from: usize,
-    /// The pixel after the last such. Tiles wholly outside leave the run out.
+    /// The pixel after the last one for which it does. Tiles that are completely outside leave the run out.
     pub to: usize,
 }
 
 /// One row of outputs of one block of channels.
 pub struct Row<'a> {
-    /// What the runs are read from.
+    /// Values from which the runs are read.
     pub input: &'a [f32],
-    /// What is summed.
+    /// Runs that are summed.
     pub runs: &'a [Run],
     /// `[products, LANES]` of this block.
     pub weights: &'a [f32],
-    /// What every sum starts with.
+    /// Start value of every sum.
     pub bias: &'a [f32; LANES],
     /// `[width, LANES]`, added to the sums before the activation.
     pub residual: Option<&'a [f32]>,
@@ -45,21 +46,21 @@ pub struct Row<'a> {
     pub output: &'a mut [f32],
     /// Input values from one pixel to the next.
     pub step: usize,
-    /// What follows the sum.
+    /// Function that is applied to the sum.
     pub activation: Activation,
 }
 
-/// Pixels that compete with those of an output.
+/// Pixels that are compared with those of an output, for the larger value.
 pub struct Rivals<'a> {
     /// `[pixels, LANES]`.
     pub input: &'a [f32],
     /// Pixels of the input from one output to the next.
     pub stride: usize,
-    /// `[pixels, LANES]`; becomes the larger of the two, and NaN when one is.
+    /// `[pixels, LANES]`; becomes the larger of both, and NaN if one of them is NaN.
     pub output: &'a mut [f32],
 }
 
-/// The larger of two; NaN when one is.
+/// The larger of two; NaN if one of them is NaN.
 #[inline(always)]
 pub fn larger(a: f32, b: f32) -> f32 {
     if b > a || b.is_nan() { b } else { a }
@@ -72,25 +73,25 @@ pub unsafe fn rival<V: Vector>(row: Rivals<'_>) {
     let mut input = row.input.as_ptr();
     let mut output = row.output.as_mut_ptr();
     for _ in 0..row.output.len() / LANES {
-        // SAFETY: as the caller's.
+        // SAFETY: as for the caller.
         unsafe { V::load(output).larger(V::load(input)).store(output) };
-        // Past the end only after the last.
+        // It is past the end only after the last pixel.
         input = input.wrapping_add(row.stride * LANES);
         output = output.wrapping_add(LANES);
     }
 }
 
-/// Adds products in `N` independent vectors, [`REGISTERS`] a round.
+/// Adds products in `N` independent vectors, [`REGISTERS`] in each round.
 ///
 /// # Safety
 /// The processor has the instructions.
 #[inline(always)]
 pub unsafe fn products<V: Vector, const N: usize>(rounds: u64) -> f32 {
     let mut values = [0.0; LANES];
-    // SAFETY: as the caller's; `values` has the values that are stored.
+    // SAFETY: as for the caller; `values` has room for the values that are stored.
     unsafe {
         let factor = V::splat(std::hint::black_box(0.999));
-        // Sums that the compiler cannot know to be equal.
+        // The compiler cannot know that these sums are equal.
         let mut sums = [factor; N];
         for sum in &mut sums {
             *sum = V::load(std::hint::black_box(&values).as_ptr());
@@ -109,7 +110,7 @@ pub unsafe fn products<V: Vector, const N: usize>(rounds: u64) -> f32 {
 /// A vector of [`LANES`] values.
 ///
 /// # Safety
-/// All functions: the processor has the instructions; pointers are good for [`LANES`] values.
+/// For all functions: the processor has the instructions, and pointers are valid for [`LANES`] values.
 pub trait Vector: Copy {
     unsafe fn load(from: *const f32) -> Self;
     unsafe fn store(self, to: *mut f32);
@@ -117,7 +118,7 @@ pub trait Vector: Copy {
     /// `self + a * b`.
     unsafe fn plus_product(self, a: Self, b: Self) -> Self;
     unsafe fn plus(self, other: Self) -> Self;
-    /// The larger of two; NaN when one is.
+    /// The larger of two; NaN if one of them is NaN.
     unsafe fn larger(self, other: Self) -> Self;
     /// 0 for negative values, NaN for NaN.
     unsafe fn relu(self) -> Self;
@@ -125,15 +126,16 @@ pub trait Vector: Copy {
     unsafe fn leaky(self, slope: Self) -> Self;
 }
 
-/// The row in tiles of `P` pixels, what is left in tiles of `Q`, what is then left pixel by pixel.
+/// Computes the row in tiles of `P` pixels, then the rest in tiles of `Q` pixels, and then the rest pixel by pixel.
 ///
 /// # Safety
 /// See [`Vectors::run`].
 #[inline(always)]
 pub unsafe fn row_of_tiles<V: Vector, const P: usize, const Q: usize>(row: Row<'_>) {
-    // SAFETY: as the caller's.
+    // SAFETY: as for the caller.
     unsafe {
-        // Steps known when compiled become displacements in the addresses: stride 1 and 2 in blocks, and in a plane.
+        // Steps that are known at compile time become displacements in the addresses: stride 1 and 2 in blocks, and in
+        // a plane.
         match row.step {
             16 => tiles::<V, P, Q, 16>(row),
             32 => tiles::<V, P, Q, 32>(row),
@@ -150,13 +152,13 @@ pub unsafe fn tiles<V: Vector, const P: usize, const Q: usize, const STEP: usize
     let width = row.output.len() / LANES;
     let output = row.output.as_mut_ptr();
     let mut pixel = 0;
-    // SAFETY: as the caller's; `pixel + P`, `pixel + Q` and `pixel + 1` are at most `width`.
+    // SAFETY: as for the caller; `pixel + P`, `pixel + Q` and `pixel + 1` are at most `width`.
     unsafe {
         while pixel + P <= width {
             tile::<V, P, STEP>(&row, output, pixel);
             pixel += P;
         }
-        // The last tile may begin before the one before it has ended: it writes the same values once more.
+        // The last tile may overlap the tile before: it writes the same values once more.
         if pixel < width && width >= P && width - pixel > Q {
             tile::<V, P, STEP>(&row, output, width - P);
         } else if pixel < width && width >= Q {
@@ -185,10 +187,10 @@ pub unsafe fn tile<V: Vector, const P: usize, const STEP: usize>(
     first: usize,
 ) {
     let step = if STEP == 0 { row.step } else { STEP };
-    // SAFETY: as the caller's: `first + p` is a pixel of the row.
+    // SAFETY: as for the caller: `first + p` is a pixel of the row.
     unsafe {
         let mut sums = [V::load(row.bias.as_ptr()); P];
-        // A row without runs may lie outside: its place is named, never read.
+        // A row without runs may be outside: its address is calculated, but never read.
         let origin = row.input.as_ptr().wrapping_add(first * step);
         for run in row.runs {
             if first >= run.to || first + P <= run.from {
@@ -237,13 +239,13 @@ pub type Lanes = [f32; LANES];
 impl Vector for Lanes {
     #[inline(always)]
     unsafe fn load(from: *const f32) -> Self {
-        // SAFETY: as the caller's; an array of `f32` needs the alignment of `f32`.
+        // SAFETY: as for the caller; an array of `f32` needs the alignment of `f32`.
         unsafe { *from.cast::<Self>() }
     }
 
     #[inline(always)]
     unsafe fn store(self, to: *mut f32) {
-        // SAFETY: as the caller's; an array of `f32` needs the alignment of `f32`.
+        // SAFETY: as for the caller; an array of `f32` needs the alignment of `f32`.
         unsafe { *to.cast::<Self>() = self }
     }
 
@@ -254,7 +256,8 @@ impl Vector for Lanes {
 
     #[inline(always)]
     unsafe fn plus_product(self, a: Self, b: Self) -> Self {
-        // Every 64-bit ARM fuses; on others a fused product without its instruction is a slow call.
+        // Every 64-bit ARM processor has fused products; on others, a fused product without its instruction is a slow
+        // call.
         let sum = |i: usize| match cfg!(target_arch = "aarch64") {
             true => a[i].mul_add(b[i], self[i]),
             false => a[i] * b[i] + self[i],
@@ -286,7 +289,7 @@ impl Vector for Lanes {
 /// # Safety
 /// See [`Vectors::run`].
 pub unsafe fn portable(row: Row<'_>) {
-    // SAFETY: as the caller's. Sixteen registers of four lanes hold two pixels and a weight; ARM has 32.
+    // SAFETY: as for the caller. Sixteen registers of four lanes hold two pixels and a weight; ARM has 32.
     unsafe {
         if cfg!(target_arch = "aarch64") {
             row_of_tiles::<Lanes, 5, 2>(row);

@@ -1,4 +1,4 @@
-//! tract's graph of a model → our own graph, if every operator has its like there.
+//! tract's graph of a model → our own graph, if every operator has an equivalent there.
 
 use std::sync::Arc;
 
@@ -17,26 +17,27 @@ use tract_onnx::tract_core::ops::source::TypedSource;
 
 use super::graph::{Activation, Graph, NodeId, Op, Window};
 
-/// What one of tract's values is here.
+/// What one of tract's values is in our graph.
 #[derive(Clone)]
 enum Value {
     Constant(Arc<Tensor>),
     Node(NodeId),
-    /// Node whose channels are being unfolded, the square's side, and the next of tract's four operators to come.
+    /// Node whose channels are being unfolded, the side of the square, and which of tract's four operators comes next.
     Unfolding(NodeId, usize, usize),
 }
 
-/// Translates a model as tract has read it, with all shapes known and before it is rewritten for tract's own execution.
+/// Translates a model as tract has read it, when all shapes are known and before it is rewritten for tract's own
+/// execution.
 ///
 /// # Errors
-/// The operator that is not known here.
+/// The operator that is not supported here.
 pub fn lower(model: &TypedModel) -> Result<Graph, String> {
     let mut lowering = Lowering {
         model,
         graph: Graph::default(),
         values: Vec::with_capacity(model.nodes().len()),
     };
-    // The nodes' numbers are no order: rewrites append. The order of evaluation is.
+    // The numbers of nodes are not in order, because rewrites append nodes. The order of evaluation is used.
     let order = model.eval_order().map_err(|e| e.to_string())?;
     lowering.values.resize(model.nodes().len(), None);
     for id in order {
@@ -140,11 +141,11 @@ impl Lowering<'_> {
     fn constant(&self, node: &TypedNode, index: usize) -> Lowered<Arc<Tensor>> {
         match self.value(node, index)? {
             Value::Constant(constant) => Ok(constant),
-            _ => Err("an input is no constant".to_owned()),
+            _ => Err("an input is not a constant".to_owned()),
         }
     }
 
-    /// Of a window over an input, whatever way its padding is said.
+    /// The window over an input, for every notation of its padding.
     fn window(&self, spec: &PoolSpec, input: NodeId) -> Lowered<Window> {
         if spec.data_format != DataFormat::NCHW {
             return Err("another order of axes".to_owned());
@@ -249,7 +250,7 @@ impl Lowering<'_> {
         Ok(self.graph.push(op, &[input], shape))
     }
 
-    /// A resize as tract's own operator, or as what it makes of the one of ONNX.
+    /// A resize, either as tract's own operator or as what tract makes of ONNX's operator.
     fn resize(&mut self, node: &TypedNode, shape: [usize; 3]) -> Lowered<NodeId> {
         let patch = match node.op_is::<Resize>() {
             true => None,
@@ -273,7 +274,8 @@ impl Lowering<'_> {
         Ok(self.graph.push(Op::Resize, &[input], shape))
     }
 
-    /// What tract makes of DepthToSpace (CRD): channels to `[channels, side, side]`, both moved behind their axes and merged.
+    /// What tract makes of DepthToSpace (CRD): channels become `[channels, side, side]`, and both sides are moved
+    /// behind their axes and merged.
     fn axes(&mut self, node: &TypedNode, axes: &AxisOp) -> Lowered<Value> {
         let sizes = |dims: &[TDim]| {
             let sizes = dims
@@ -334,12 +336,12 @@ fn floats(tensor: &Tensor) -> Lowered<Vec<f32>> {
     Ok(values.to_vec())
 }
 
-/// A constant that is added to or multiplied with `[1, C, H, W]`, if it has one value for all or one a channel.
+/// A constant that is added to or multiplied with `[1, C, H, W]`, if it has one value, or one value for each channel.
 fn per_channel(constant: &Tensor, channels: usize) -> Lowered<Vec<f32>> {
     let values = floats(constant)?;
     match *constant.shape() {
         _ if values.len() == 1 => Ok(vec![values[0]; channels]),
         [1, c, 1, 1] | [c, 1, 1] if c == channels => Ok(values),
-        _ => Err("with a constant that is not one a channel".to_owned()),
+        _ => Err("with a constant that does not have one value for each channel".to_owned()),
     }
 }

@@ -1,11 +1,12 @@
-//! A graph → the steps that compute it: where each value lies, how weights are laid out, which memory is used again.
+//! A graph → the steps that compute it: where each value is stored, how weights are laid out, which memory is used
+//! again.
 
 use super::graph::{Activation, Graph, Node, NodeId, Op, Window};
 use super::layout::{Blocked, LANES, Planar};
 use super::steps::{self, Convolution, Scaling, Source, View};
 use crate::model::vectors::Vectors;
 
-/// Most elements of one value, with its zeros: as many as a model's own values may have.
+/// Largest number of elements of one value, with its zeros: as many as a model's own values may have.
 const VOLUME_MAX: usize = 1 << 27;
 
 /// Largest stride, dilation, kernel and margin of a window, cells: anything larger is a broken model.
@@ -13,17 +14,17 @@ const WINDOW_MAX: usize = 1 << 12;
 
 /// Everything about an encoder that does not change from picture to picture.
 pub struct Plan {
-    /// Instructions that it runs on.
+    /// Instructions with which it runs.
     pub kernel: Vectors,
-    /// Of the input.
+    /// Layout of the input.
     pub picture: Planar,
     /// Buffers, each for several values one after the other.
     pub slots: Vec<Blocked>,
-    /// What is done, in order.
+    /// The steps, in their order.
     pub steps: Vec<Step>,
     /// Channels, height and width of the outputs.
     pub outputs: Vec<[usize; 3]>,
-    /// Products that the convolutions are made of, for one picture.
+    /// Number of products in the convolutions, for one picture.
     pub products: u64,
 }
 
@@ -32,14 +33,14 @@ pub struct Plan {
 pub struct Place {
     /// The buffer.
     pub slot: usize,
-    /// Where in it.
+    /// The part of the buffer.
     pub view: View,
 }
 
 /// What a convolution reads.
 #[derive(Clone, Copy)]
 pub enum Input {
-    /// The input of the whole.
+    /// The input of the whole graph.
     Picture,
     /// A value.
     Slot(Place),
@@ -47,22 +48,22 @@ pub enum Input {
 
 /// One step.
 pub enum Step {
-    /// A value from others.
+    /// Computes a value from others.
     Compute {
-        /// How.
+        /// What is computed.
         work: Work,
-        /// Into where.
+        /// Where the result is stored.
         output: Place,
     },
-    /// An output of the whole, `[channels, height, width]`.
+    /// Writes an output of the whole graph, `[channels, height, width]`.
     Emit {
-        /// How.
+        /// How it is written.
         form: Form,
-        /// From where.
+        /// Where it is read from.
         input: Place,
-        /// Of the input.
+        /// Number of channels of the input.
         channels: usize,
-        /// Its number.
+        /// Number of the output.
         output: usize,
     },
 }
@@ -80,7 +81,7 @@ pub enum Work {
     },
     /// Largest values in a window.
     PoolBlocks(Window, Activation, Place),
-    /// The same of the picture, from this channel on.
+    /// The same for the picture, from this channel on.
     PoolPicture(Window, Activation, usize),
     /// A sum.
     Add(Activation, [Place; 2]),
@@ -88,15 +89,15 @@ pub enum Work {
     Scale(Scaling, Place),
     /// Bilinear interpolation.
     Resize(Activation, Place),
-    /// Zeros.
+    /// Fills a value with zeros.
     Clear,
-    /// Some of the channels.
+    /// Copies some of the channels.
     Copy {
-        /// From where.
+        /// Where they are read from.
         input: Place,
-        /// How many.
+        /// Number of channels.
         channels: usize,
-        /// The first in the output.
+        /// The first channel in the output.
         first: usize,
     },
 }
@@ -116,7 +117,7 @@ impl Plan {
     /// Plans the computation of a graph's outputs.
     ///
     /// # Errors
-    /// What in the graph it cannot compute.
+    /// The part of the graph that it cannot compute.
     pub fn new(graph: &Graph, kernel: Vectors) -> Result<Self, String> {
         check(graph)?;
         let mut planner = Planner::new(graph);
@@ -152,7 +153,7 @@ impl Plan {
     }
 }
 
-/// Refuses what no step computes.
+/// Refuses a graph that the steps cannot compute.
 fn check(graph: &Graph) -> Result<(), String> {
     for (id, node) in graph.nodes.iter().enumerate() {
         let whole = node.shape.iter().all(|&side| side > 0);
@@ -220,7 +221,8 @@ struct Planner<'a> {
     picture: Planar,
     /// Layout of every node's value.
     layouts: Vec<Blocked>,
-    /// For parts of a concatenation that are written where they end up: it, and their first channel in it.
+    /// For parts of a concatenation that are written directly to their final place: the concatenation, and their first
+    /// channel in it.
     homes: Vec<Option<(NodeId, usize)>>,
     /// The last node that reads each value.
     last_use: Vec<NodeId>,
@@ -308,7 +310,7 @@ impl<'a> Planner<'a> {
             (Op::Unfold { side }, Some(output)) => {
                 self.emit(Form::Unfolded { side: *side }, node.inputs[0], output)?;
             }
-            // Nobody else asks for it: it is computed on its way out.
+            // It is used only here: it is computed while the output is written.
             (Op::Scale { factor, offset }, Some(output)) if self.uses[id] == 1 => {
                 let scaling = Scaling::new(factor, offset, node.activation);
                 self.emit(Form::Scaled(scaling), node.inputs[0], output)?;
@@ -339,7 +341,7 @@ impl<'a> Planner<'a> {
         Ok(())
     }
 
-    /// Adds the step that computes a value, into a place of its own.
+    /// Adds the step that computes a value into a place of its own.
     fn compute(&mut self, id: NodeId) -> Result<(), String> {
         let node = &self.graph.nodes[id];
         let activation = node.activation;
@@ -405,13 +407,13 @@ impl<'a> Planner<'a> {
         Ok(())
     }
 
-    /// Where a value that was computed lies.
+    /// Where a value that was computed is stored.
     fn place_of(&self, id: NodeId) -> Result<Place, String> {
         self.places[id].ok_or_else(|| "an operator on the picture that is not known".to_owned())
     }
 
-    /// Where a value is to be computed: a place of its own, or part of the concatenation that it is for; and its first channel
-    /// counted from there.
+    /// Where a value is computed: a place of its own, or a part of the concatenation to which it belongs, and its first
+    /// channel relative to that place.
     fn place_for(&mut self, id: NodeId) -> (Place, usize) {
         let (owner, start) = self.homes[id].unwrap_or((id, 0));
         let whole = match self.places[owner] {
@@ -442,7 +444,7 @@ impl<'a> Planner<'a> {
         (place, start % LANES)
     }
 
-    /// A buffer that nobody needs any more, or a new one.
+    /// A buffer that is no longer needed, or a new one.
     fn slot(&mut self, layout: Blocked) -> usize {
         let free = self
             .free
@@ -457,7 +459,7 @@ impl<'a> Planner<'a> {
         }
     }
 
-    /// Gives back the buffers of values that nobody needs after this node.
+    /// Releases the buffers of values that are not needed after this node.
     fn release(&mut self, after: NodeId) {
         for id in 0..=after {
             if self.last_use[id] == after
@@ -470,8 +472,9 @@ impl<'a> Planner<'a> {
     }
 }
 
-/// First channels of the parts of a concatenation, if each can be written where it ends up. Steps write whole blocks, all but
-/// a pooling of the picture: that may fill up a block, if it comes later than what begins it.
+/// First channels of the parts of a concatenation, if each part can be written directly to its final place. Steps write
+/// whole blocks. Only a pooling of the picture may fill the rest of a block, if it comes later than the step that
+/// writes the beginning of the block.
 fn starts_in_place(graph: &Graph, uses: &[usize], id: NodeId) -> Option<Vec<usize>> {
     let node = &graph.nodes[id];
     let pools_picture = |part: NodeId| {

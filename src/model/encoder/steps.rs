@@ -1,4 +1,4 @@
-//! What is done for every picture, operator by operator, on activations in blocks. Nothing here allocates.
+//! The computation for every picture, operator by operator, on activations in blocks. Nothing here allocates.
 
 use std::ops::Range;
 
@@ -7,20 +7,20 @@ use super::layout::{Blocked, LANES, Planar};
 use super::loops::{Rivals, Row, Run, larger};
 use crate::model::vectors::{Vectors, turned};
 
-/// Runs that read only zeros beside the picture for fewer pixels than this at either end are never left out.
+/// A run is never left out if it reads only zeros beside the picture for fewer pixels than this at either end.
 const SKIPPED_MIN: usize = 5;
 
-/// Pixels and channels that are turned from one order into the other at a time.
+/// Number of pixels and channels that are transposed at a time.
 const SQUARE: usize = 4;
 
-/// Part of a buffer: from one block on.
+/// Part of a buffer, beginning at a block.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct View {
-    /// Of the whole buffer.
+    /// Layout of the whole buffer.
     pub layout: Blocked,
-    /// Where the value's channels begin.
+    /// The block at which the value begins.
     pub first: usize,
-    /// Its blocks.
+    /// Number of its blocks.
     pub blocks: usize,
 }
 
@@ -34,7 +34,7 @@ impl View {
 /// What a convolution or a pooling reads.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Source {
-    /// The input of the whole.
+    /// The input of the whole graph.
     Picture(Planar),
     /// A value.
     Blocks(View),
@@ -45,9 +45,9 @@ pub struct Convolution {
     /// `[output blocks][products][LANES]`.
     weights: Vec<f32>,
     bias: Vec<[f32; LANES]>,
-    /// Runs of rows that see the same part of the window.
+    /// Runs for rows that use the same part of the window.
     variants: Vec<Vec<Run>>,
-    /// Of each output row: its variant, and where in the input its runs begin.
+    /// For each output row: its variant, and where its runs begin in the input.
     rows: Vec<(usize, usize)>,
     /// Input values from one output pixel to the next.
     step: usize,
@@ -57,7 +57,7 @@ pub struct Convolution {
 impl Convolution {
     /// - `weights`: `[outputs, inputs, kernel height, kernel width]`
     /// - `bias`: `[outputs]`
-    /// - `channels`: of the input
+    /// - `channels`: number of channels of the input
     /// - `size`: height and width of the output
     pub fn new(
         window: &Window,
@@ -186,7 +186,7 @@ fn pack(
     packed
 }
 
-/// What one output row reads when it sees the rows `cells` of the window, relative to the first of them.
+/// What one output row reads if it uses the rows `cells` of the window, relative to the first of them.
 fn runs(
     window: &Window,
     channels: usize,
@@ -195,7 +195,7 @@ fn runs(
     cells: Range<usize>,
 ) -> Vec<Run> {
     let [kernel_height, kernel_width] = window.kernel;
-    // Groups of channels that lie side by side, values from a group, a row and a column to the next.
+    // Number of channels side by side, and the values from a group, a row and a column to the next.
     let (lanes, group, row, column, input_width, left) = match source {
         Source::Picture(p) => (1, p.plane(), p.row(), 1, p.width, p.left),
         Source::Blocks(view) => {
@@ -250,7 +250,7 @@ fn runs(
     runs
 }
 
-/// Which rows or columns of an input a position of a window sees.
+/// The rows or columns of an input that a position of a window uses.
 #[inline(always)]
 pub fn seen(
     window: &Window,
@@ -266,7 +266,8 @@ pub fn seen(
         .map(move |place| place - before)
 }
 
-/// The positions of a window along a row at which one of its cells lies inside the row, and where it lies for the first.
+/// The positions of a window along a row at which one of its cells is inside the row, and where the cell is for the
+/// first position.
 #[inline(always)]
 fn inside(window: &Window, cell: usize, width: usize, positions: usize) -> (Range<usize>, usize) {
     let (stride, before) = (window.stride[1], window.before[1]);
@@ -277,7 +278,7 @@ fn inside(window: &Window, cell: usize, width: usize, positions: usize) -> (Rang
     (from..to, (from * stride + shift).saturating_sub(before))
 }
 
-/// Largest values in a window, of a value in blocks.
+/// Largest values in a window, for a value in blocks.
 #[inline(always)]
 pub fn pool_blocks(
     kernel: Vectors,
@@ -307,9 +308,10 @@ pub fn pool_blocks(
     }
 }
 
-/// Largest values in a window of the picture, to channels of a value from `channel` on; its other channels are left alone.
+/// Largest values in a window of the picture, written to channels of a value from `channel` on; its other channels are
+/// not changed.
 ///
-/// - `scratch`: a row of the picture and one of the output, and one value more
+/// - `scratch`: room for a row of the picture, a row of the output, and one more value
 #[inline(always)]
 pub fn pool_picture(
     window: &Window,
@@ -319,7 +321,7 @@ pub fn pool_picture(
     (output, to): (&mut [f32], View),
     channel: usize,
 ) {
-    // One more than the row, so that every second value has a neighbour.
+    // One value more than the row, so that every second value has a neighbour.
     let (column_best, best) = scratch.split_at_mut(from.width + 1);
     let best = &mut best[..to.layout.width];
     for y in 0..to.layout.height {
@@ -356,7 +358,7 @@ pub fn pool_picture(
     }
 }
 
-/// `a + b`, where `b` may have fewer blocks: those that it has not are 0.
+/// `a + b`, where `b` may have fewer blocks: its missing blocks are 0.
 #[inline(always)]
 pub fn add(
     activation: Activation,
@@ -378,7 +380,7 @@ pub fn add(
     }
 }
 
-/// A factor and an offset for every lane of every block, and what follows.
+/// A factor and an offset for every lane of every block, and an activation.
 pub struct Scaling {
     factor: Vec<[f32; LANES]>,
     offset: Vec<[f32; LANES]>,
@@ -386,7 +388,7 @@ pub struct Scaling {
 }
 
 impl Scaling {
-    /// Of factors and offsets `[channels]`.
+    /// Made from factors and offsets `[channels]`.
     pub fn new(factor: &[f32], offset: &[f32], activation: Activation) -> Self {
         let padded = |values: &[f32]| {
             let mut blocks = vec![[0.0; LANES]; values.len().div_ceil(LANES)];
@@ -402,7 +404,7 @@ impl Scaling {
         }
     }
 
-    /// Of a value in blocks.
+    /// Applies it to a value in blocks.
     #[inline(always)]
     pub fn run(&self, (input, from): (&[f32], View), (output, to): (&mut [f32], View)) {
         for y in 0..to.layout.height {
@@ -419,7 +421,7 @@ impl Scaling {
         }
     }
 
-    /// Of a value in blocks, to `[channels, height, width]`.
+    /// Applies it to a value in blocks, and writes `[channels, height, width]`.
     #[inline(always)]
     pub fn unpack(&self, input: &[f32], from: View, output: &mut [f32]) {
         let (height, width) = (from.layout.height, from.layout.width);
@@ -443,7 +445,7 @@ impl Scaling {
                     let [(a, a_rest), (b, b_rest), (c, c_rest), (d, d_rest)] =
                         [a, b, c, d].map(|plane| plane[row.clone()].as_chunks_mut::<SQUARE>());
                     let (squares, rest) = pixels.as_chunks::<SQUARE>();
-                    // Turned in registers, four pixels by four channels.
+                    // Transposed in registers, four pixels by four channels.
                     let fours = a.iter_mut().zip(b).zip(c).zip(d).zip(squares);
                     for ((((a, b), c), d), square) in fours {
                         [*a, *b, *c, *d] = turned(square.each_ref().map(scaled));
@@ -465,7 +467,7 @@ impl Scaling {
     }
 }
 
-/// Channels of squares to one picture `[channels / side², height side, width side]`.
+/// Writes channels as squares of one picture `[channels / side², height side, width side]`.
 #[inline(always)]
 pub fn unfold(side: usize, input: &[f32], from: View, channels: usize, output: &mut [f32]) {
     let (height, width) = (from.layout.height, from.layout.width);
@@ -512,7 +514,8 @@ pub fn clear((output, to): (&mut [f32], View)) {
     }
 }
 
-/// Where an output row or column lies between two of the input: the first, the second, the share of the second.
+/// The two input rows or columns between which an output row or column is: the first, the second, and the share of the
+/// second.
 #[inline(always)]
 pub fn between(position: usize, size: usize, output_size: usize) -> (usize, usize, f32) {
     // Sizes of pictures are far below 2^24.

@@ -1,4 +1,4 @@
-//! Our executor against a naive one in 64-bit floats, and against tract.
+//! Compares our executor with a naive one in 64-bit floats, and with tract.
 #![allow(
     clippy::unwrap_used,
     clippy::cast_possible_truncation,
@@ -100,8 +100,8 @@ fn poolings_of_all_shapes_are_what_they_should() {
     }
 }
 
-/// Any operator on any earlier value that it fits, and several outputs: fusing, concatenating in place and using memory again
-/// must not change what is computed.
+/// Any operator on any earlier value that fits, and several outputs: fusing, concatenating in place and using memory
+/// again must not change the result.
 #[test]
 fn graphs_of_all_operators_are_what_they_should() {
     let mut dice = Dice(3);
@@ -119,7 +119,7 @@ fn graphs_of_all_operators_are_what_they_should() {
         };
         graph.push(Op::MaxPool(pool), &[0], [3, height, width]);
         for _ in 0..12 {
-            // All but the picture and margins, which only convolutions read.
+            // All nodes except the picture and margins, which only convolutions read.
             let usable = |&id: &NodeId| id > 0 && !matches!(graph.nodes[id].op, Op::Margin(_));
             let usable: Vec<NodeId> = (0..graph.nodes.len()).filter(usable).collect();
             let input = dice.of(&usable);
@@ -248,7 +248,8 @@ fn shipped() -> Vec<ModelSpec> {
         .collect()
 }
 
-/// Activations of a model's taps, and its lane head's answer, for values other than those that loading compares.
+/// Activations of a model's taps, and its lane head's output, for other values than those that are compared while
+/// loading.
 fn answers(encoder: &Encoder, picture: &[f32]) -> Vec<Vec<f32>> {
     let mut session = encoder.session().unwrap();
     let maps = session.run(picture).unwrap();
@@ -407,7 +408,7 @@ fn known_operators_run_in_our_executor_and_others_in_tract() {
     }
 }
 
-/// Where tract's ReLU would make 0 of NaN and hide it.
+/// tract's ReLU would turn NaN into 0 and hide it.
 #[test]
 fn values_that_are_not_finite_stay_visible() {
     let window = [ints("kernel_shape", &[3, 3]), ints("pads", &[1, 1, 1, 1])];
@@ -472,7 +473,7 @@ fn a_file_that_needs_other_files_is_refused() {
         let said = refusal(weights(&more));
         assert!(said.contains("external data"), "{said}");
     }
-    // In an attribute of a node of a graph in an attribute, too.
+    // Also in an attribute of a node of a graph in an attribute.
     let constant = node(
         "Constant",
         &[],
@@ -489,7 +490,7 @@ fn a_file_that_needs_other_files_is_refused() {
 
 #[test]
 fn a_file_that_would_cost_too_much_is_refused_before_it_is_read() {
-    // Two bytes each, hundreds once they are read.
+    // They have two bytes each in the file, and hundreds in memory.
     let nodes = block(7, &block(1, &[]).repeat(20_001));
     assert!(refusal(nodes).contains("more than 20000 nodes"));
     let attributes = block(7, &block(1, &block(5, &[]).repeat(400_001)));

@@ -15,7 +15,7 @@ use super::loops::{Rivals, Row, Vector, products, rival, row_of_tiles};
 /// See [`super::loops::products`].
 #[target_feature(enable = "avx512f")]
 pub(super) unsafe fn products_avx512(rounds: u64) -> f32 {
-    // SAFETY: as the caller's.
+    // SAFETY: as for the caller.
     unsafe { products::<Avx512, 12>(rounds) }
 }
 
@@ -23,7 +23,7 @@ pub(super) unsafe fn products_avx512(rounds: u64) -> f32 {
 /// See [`super::loops::products`].
 #[target_feature(enable = "avx2,fma")]
 pub(super) unsafe fn products_avx2(rounds: u64) -> f32 {
-    // SAFETY: as the caller's.
+    // SAFETY: as for the caller.
     unsafe { products::<Avx2, 6>(rounds) }
 }
 
@@ -31,7 +31,7 @@ pub(super) unsafe fn products_avx2(rounds: u64) -> f32 {
 /// See [`crate::model::vectors::Vectors::rival`].
 #[target_feature(enable = "avx512f")]
 pub(super) unsafe fn rival_avx512(row: Rivals<'_>) {
-    // SAFETY: as the caller's.
+    // SAFETY: as for the caller.
     unsafe { rival::<Avx512>(row) }
 }
 
@@ -39,7 +39,7 @@ pub(super) unsafe fn rival_avx512(row: Rivals<'_>) {
 /// See [`crate::model::vectors::Vectors::rival`].
 #[target_feature(enable = "avx2")]
 pub(super) unsafe fn rival_avx2(row: Rivals<'_>) {
-    // SAFETY: as the caller's.
+    // SAFETY: as for the caller.
     unsafe { rival::<Avx2>(row) }
 }
 
@@ -47,7 +47,7 @@ pub(super) unsafe fn rival_avx2(row: Rivals<'_>) {
 /// See [`crate::model::vectors::Vectors::run`].
 #[target_feature(enable = "avx512f")]
 pub(super) unsafe fn avx512(row: Row<'_>) {
-    // SAFETY: as the caller's.
+    // SAFETY: as for the caller.
     unsafe { row_of_tiles::<Avx512, 10, 5>(row) }
 }
 
@@ -55,7 +55,7 @@ pub(super) unsafe fn avx512(row: Row<'_>) {
 /// See [`crate::model::vectors::Vectors::run`].
 #[target_feature(enable = "avx2,fma")]
 pub(super) unsafe fn avx2(row: Row<'_>) {
-    // SAFETY: as the caller's.
+    // SAFETY: as for the caller.
     unsafe { row_of_tiles::<Avx2, 5, 2>(row) }
 }
 
@@ -65,12 +65,12 @@ struct Avx512(__m512);
 #[derive(Clone, Copy)]
 struct Avx2(__m256, __m256);
 
-// Of `max` the second is the answer when one of the two is NaN.
+// `max` returns its second argument if one of both is NaN.
 
 impl Vector for Avx512 {
     #[inline(always)]
     unsafe fn load(from: *const f32) -> Self {
-        // SAFETY: as the caller's, here and below.
+        // SAFETY: as for the caller, here and below.
         unsafe { Self(_mm512_loadu_ps(from)) }
     }
 
@@ -127,7 +127,7 @@ impl Vector for Avx512 {
 impl Vector for Avx2 {
     #[inline(always)]
     unsafe fn load(from: *const f32) -> Self {
-        // SAFETY: as the caller's, here and below.
+        // SAFETY: as for the caller, here and below.
         unsafe { Self(_mm256_loadu_ps(from), _mm256_loadu_ps(from.add(8))) }
     }
 

@@ -1,34 +1,35 @@
-//! Rows and columns of one size → another, by an antialiased triangle kernel.
+//! Resamples rows and columns from one size to another with an antialiased triangle kernel.
 //!
-//! Owns the weights and the two inner loops. [`ROWS`] output rows are made at a time: first each is summed up from the rows
-//! around it, all bytes side by side, then turned, so that columns are summed for all these rows at once. Products and sums
-//! are never fused and always in the same order, so every processor comes to the same bits.
+//! It contains the weights and the two inner loops. [`ROWS`] output rows are made at a time: first each row is summed
+//! up from the input rows around it, with all bytes side by side. Then the rows are transposed, so that columns are
+//! summed for all these rows together. Products and sums are never fused and always in the same order, so every
+//! processor gives the same result bit for bit.
 
 use std::ops::Range;
 
 use crate::model::vectors::turned;
 
-/// Output rows that are made together.
+/// Number of output rows that are made together.
 pub const ROWS: usize = 8;
-/// One value of each of them.
+/// One value of each of these rows.
 pub type Column = [f32; ROWS];
-/// Bytes of a row that are worked on together.
+/// Number of bytes of a row that are processed together.
 const BLOCK: usize = 64;
 
-/// Which inputs make up each output, and with what weights.
+/// The inputs and weights from which each output is made.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Axis {
     /// First input of each output.
     starts: Vec<usize>,
-    /// Where the weights of each output begin, and where the last ones end.
+    /// Where the weights of each output begin, and where those of the last output end.
     offsets: Vec<usize>,
-    /// Those of one output sum to 1.
+    /// Weights; those of one output sum to 1.
     weights: Vec<f32>,
 }
 
 impl Axis {
-    /// `outputs` centres over `length` of `full` inputs, beginning at `from`. The triangle reaches from one centre to the
-    /// next, or over one input if those are wider, and beyond `length` where there are inputs.
+    /// `outputs` centres over `length` of `full` inputs, beginning at `from`. The triangle reaches from one centre to
+    /// the next, or over one input if inputs are wider. It reaches beyond `length` if there are inputs.
     #[allow(
         clippy::cast_precision_loss,
         clippy::cast_possible_truncation,
@@ -55,7 +56,7 @@ impl Axis {
         Self::of((0..outputs).map(weighted))
     }
 
-    /// The same outputs from inputs of which each stands for two.
+    /// The same outputs from inputs that each represent two inputs.
     pub fn of_pairs(&self) -> Self {
         let weighted = |output: usize| {
             let (start, weights) = self.taps(output);
@@ -82,7 +83,7 @@ impl Axis {
         axis
     }
 
-    /// First input of an output, and the weights from there on.
+    /// First input of an output, and its weights from there on.
     fn taps(&self, output: usize) -> (usize, &[f32]) {
         let weights = self.offsets[output]..self.offsets[output + 1];
         (self.starts[output], &self.weights[weights])
@@ -98,7 +99,7 @@ impl Axis {
         first.unwrap_or(0)..ends.max().unwrap_or(0)
     }
 
-    /// With inputs counted from `first` on.
+    /// The same axis with inputs counted from `first` on.
     pub fn counted_from(mut self, first: usize) -> Self {
         for start in &mut self.starts {
             *start = start.saturating_sub(first);
@@ -106,8 +107,8 @@ impl Axis {
         self
     }
 
-    /// Output rows, [`ROWS`] of them at most, byte column by byte column: `rows` holds a row of inputs every `stride` bytes,
-    /// of which `columns.len()` count.
+    /// Sums up at most [`ROWS`] output rows, byte column by byte column. `rows` holds a row of inputs every `stride`
+    /// bytes, and `columns.len()` bytes of each row count.
     #[inline(always)]
     pub fn stack(&self, outputs: Range<usize>, rows: &[u8], stride: usize, columns: &mut [Column]) {
         for (block, columns) in columns.chunks_mut(BLOCK).enumerate() {
@@ -117,7 +118,7 @@ impl Axis {
                 let mut own = [0.0; BLOCK];
                 for (row, weight) in (start..).zip(weights) {
                     let bytes = &rows[row * stride + block * BLOCK..];
-                    // The last block is short.
+                    // The last block may be short.
                     let mut padded = [0; BLOCK];
                     let bytes: &[u8; BLOCK] = match bytes.first_chunk() {
                         Some(bytes) => bytes,
@@ -136,7 +137,7 @@ impl Axis {
         }
     }
 
-    /// All outputs of [`ROWS`] rows from every `step`-th of their columns.
+    /// Computes all outputs of [`ROWS`] rows from every `step`-th column of them.
     #[inline(always)]
     pub fn shorten(&self, columns: &[Column], step: usize, short: &mut [Column]) {
         for (output, short) in short.iter_mut().enumerate() {
@@ -153,7 +154,7 @@ impl Axis {
     }
 }
 
-/// Rows to columns.
+/// Transposes rows to columns.
 #[inline(always)]
 fn turn(rows: &[[f32; BLOCK]; ROWS], columns: &mut [Column]) {
     for (square, columns) in columns.chunks_mut(4).enumerate() {
@@ -170,7 +171,7 @@ fn turn(rows: &[[f32; BLOCK]; ROWS], columns: &mut [Column]) {
     }
 }
 
-/// Columns to rows: row `row` of [`ROWS`] rows.
+/// Transposes columns to rows: row `row` of [`ROWS`] rows.
 #[inline(always)]
 pub fn turn_back(columns: &[Column], width: usize, rows: &mut [f32]) {
     for (square, columns) in columns.chunks(4).enumerate() {

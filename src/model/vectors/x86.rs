@@ -1,4 +1,4 @@
-//! Code that the compiler makes for AVX-512 and AVX2.
+//! Code that the compiler generates for AVX-512 and AVX2.
 
 use std::arch::x86_64::{
     _mm_loadu_ps, _mm_movehl_ps, _mm_movelh_ps, _mm_storeu_ps, _mm_unpackhi_ps, _mm_unpacklo_ps,

@@ -6,7 +6,7 @@ use crate::calibration::survey::SurveyFrame;
 use crate::features::energies::BlockMeans;
 use crate::statistics::random::SplitMix64;
 
-/// SequenceSet of maps of 8x4 with four energies, which vary by chance around a level.
+/// Sequences of 8x4 maps with four energies that vary randomly around a level.
 pub fn sequences(name: &str, images: &[usize], block_images: usize, level: f64) -> SequenceSet {
     let mut dice = SplitMix64::new(name.bytes().map(u64::from).sum());
     let mut frame = || {

@@ -1,4 +1,4 @@
-//! Scores that are compared: metrics, forecasts and baselines.
+//! The methods that are compared: metrics, forecasts and baselines.
 
 use crate::calibration::survey::{Survey, SurveyFrame};
 use crate::features::energies::BlockMeans;
@@ -7,18 +7,19 @@ use crate::reference::gap::Metric;
 
 /// Length of the window, seconds.
 const WINDOW_S: f64 = 1.0;
-/// Of the quicker forecast.
+/// Length of the window of the quicker forecast, seconds.
 const SHORT_WINDOW_S: f64 = 0.4;
-/// What makes a score of a frame.
+/// A method that gives a frame a score.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Method {
     /// A metric on all taps.
     Metric(Metric),
-    /// The forecast `lane-risk`, each kind of condition judged by a forecast that was fitted on the others.
+    /// The forecast `lane-risk`, where each kind of condition is judged by a forecast that was fitted on the other
+    /// kinds.
     LaneRiskOfOtherKinds,
     /// The forecast over a shorter window.
     QuickLaneRisk,
-    /// Mean of the energy map over its largest value, tap by tap (the score of ThirdEye, Stocco et al. 2022).
+    /// Mean of the energy map divided by its largest value, for each tap (the score of ThirdEye, Stocco et al. 2022).
     MeanAttention,
     /// Mean and standard deviation of the grey levels of the picture.
     BrightnessAndContrast,
@@ -58,7 +59,7 @@ impl Method {
         }
     }
 
-    /// Names of the blocks that it looks at.
+    /// Names of the blocks that it uses.
     pub fn taps(self, taps: &[String]) -> Vec<String> {
         match self {
             Self::Metric(_) | Self::LaneRiskOfOtherKinds | Self::QuickLaneRisk => taps.to_vec(),

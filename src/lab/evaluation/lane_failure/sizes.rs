@@ -1,19 +1,19 @@
-//! How much is looked at.
+//! The size of the evaluation.
 
 use crate::lab::scene::ConditionKind;
 
-/// How many drives are looked at.
+/// Number of drives that are looked at.
 #[derive(Clone, Copy, Debug)]
 pub struct Sizes {
-    /// Nominal drives of 2 s that make the references.
+    /// Number of nominal drives of 2 s that make the references.
     pub fitted: u64,
-    /// Nominal drives that set and judge thresholds.
+    /// Number of nominal drives that set and judge thresholds.
     pub held_out: u64,
     /// Their length, seconds.
     pub held_out_s: f64,
-    /// Drives of 4 s that teach `lane-risk`, each plain and under every kind of condition.
+    /// Number of drives of 4 s to which `lane-risk` is fitted, each plain and under every kind of condition.
     pub labelled: u64,
-    /// Roads that are judged, each plain and under every kind of condition at severities 1 to 5.
+    /// Number of roads that are judged, each plain and under every kind of condition with severities 1 to 5.
     pub roads: u64,
 }
 
@@ -26,7 +26,7 @@ impl Sizes {
         labelled: 40,
         roads: 10,
     };
-    /// A look at whether it works.
+    /// A quick check of whether it works.
     pub const QUICK: Self = Self {
         fitted: 30,
         held_out: 6,
@@ -35,11 +35,11 @@ impl Sizes {
         roads: 1,
     };
 
-    /// Drives in all.
+    /// Total number of drives.
     pub fn drives(&self) -> u64 {
         self.fitted + self.held_out + self.labelled + self.roads * (1 + CASES)
     }
 }
 
-/// Kinds of condition times severities.
+/// Number of kinds of condition times number of severities.
 const CASES: u64 = 5 * ConditionKind::ALL.len() as u64;

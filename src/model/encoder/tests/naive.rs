@@ -1,11 +1,11 @@
-//! Graphs computed as their definitions say.
+//! Computes graphs directly from their definitions.
 
 use super::*;
 
 /// Rounding of a few hundred sums of 32-bit floats, as a share of the largest value.
 pub const ROUNDING: f64 = 1e-5;
 
-/// Numbers that look random, always the same.
+/// Pseudo-random numbers, always the same.
 pub struct Dice(pub u64);
 
 impl Dice {
@@ -90,7 +90,7 @@ pub fn naive(graph: &Graph, picture: &[f32]) -> Vec<Vec<f64>> {
             let id = node.inputs[index];
             (&values[id], graph.nodes[id].shape)
         };
-        // 0 outside.
+        // It is 0 outside.
         let at = |index: usize, c: usize, y: isize, x: isize| {
             let (values, [channels, height, width]) = of(index);
             let inside = c < channels
@@ -194,7 +194,8 @@ pub fn naive(graph: &Graph, picture: &[f32]) -> Vec<Vec<f64>> {
     graph.outputs.iter().map(|&id| values[id].clone()).collect()
 }
 
-/// What each kernel makes of a graph is what the definitions say, and those that fuse products agree to the bit.
+/// Checks that each kernel computes a graph as its definitions say, and that kernels with fused products agree bit for
+/// bit.
 pub fn assert_computed(graph: &Graph, picture: &[f32], what: &str) {
     let wanted = naive(graph, picture);
     let mut fused_outputs: Option<Vec<Vec<u32>>> = None;
@@ -202,7 +203,7 @@ pub fn assert_computed(graph: &Graph, picture: &[f32], what: &str) {
         let plan =
             Plan::new(&graph.clone().fused(), kernel).unwrap_or_else(|why| panic!("{what}: {why}"));
         let mut buffers = Buffers::new(&plan);
-        // Twice: what a picture leaves behind does not matter to the next.
+        // Run twice: what a picture leaves in the buffers must not affect the next one.
         buffers.run(&plan, &vec![f32::NAN; picture.len()]);
         buffers.run(&plan, picture);
         for (found, wanted) in buffers.outputs().iter().zip(&wanted) {
