@@ -28,20 +28,26 @@ pub struct FileName<'a> {
     pub topic: Option<&'a str>,
 }
 
+/// The sources of this build, for messages.
+pub const SOURCES_WANTED: &str = if cfg!(feature = "lab") {
+    "wanted scene:…, random:…, a folder, an image, a recording or a video"
+} else {
+    "wanted random:…, a folder, an image or a video"
+};
+
 /// Splits `PATH?fps=N` or `PATH?topic=NAME`; a path that exists as typed is not split. Refuses what cannot be a file:
 /// an empty name, and cameras.
 pub fn file_name(name: &str) -> Result<FileName<'_>, SourceError> {
     let camera = camera_of(name).or_else(|| name.starts_with("v4l2:").then(|| name.to_owned()));
-    let wanted = "wanted scene:…, random:…, a folder, an image, a recording or a video";
     if camera.is_some() || name.is_empty() {
         let watched = |camera| {
             format!(
-                "a camera is watched by gapwatch monitor, with source = {camera:?} in [camera] of a board file; {wanted}"
+                "a camera is watched by gapwatch monitor, with source = {camera:?} in [camera] of a board file; {SOURCES_WANTED}"
             )
         };
         return Err(SourceError::Name {
             found: name.to_owned(),
-            wanted: camera.map_or_else(|| wanted.to_owned(), watched),
+            wanted: camera.map_or_else(|| SOURCES_WANTED.to_owned(), watched),
         });
     }
     let (mut path, mut fps, mut topic) = (name, None, None);

@@ -5,7 +5,7 @@ use std::sync::{Arc, OnceLock};
 #[cfg(feature = "camera")]
 use super::camera;
 use super::frame::{FrameSource, SourceError};
-use super::names::{FileName, file_name};
+use super::names::{FileName, SOURCES_WANTED, file_name};
 use super::period::WantedPeriod;
 #[cfg(feature = "lab")]
 use super::recording;
@@ -63,7 +63,9 @@ pub fn camera_facts(name: &str) -> Result<Option<CameraFacts>, SourceError> {
 fn no_camera(name: &str) -> SourceError {
     SourceError::Name {
         found: name.to_owned(),
-        wanted: "this build has no camera source (build with --features camera); wanted scene:…, random:…, a folder, an image, a recording or a video".to_owned(),
+        wanted: format!(
+            "this build has no camera source (build with --features camera); {SOURCES_WANTED}"
+        ),
     }
 }
 
@@ -76,7 +78,9 @@ pub fn open(name: &str) -> Result<Box<dyn FrameSource>, SourceError> {
         let Some(open) = SCENES.get() else {
             return Err(SourceError::Name {
                 found: name.to_owned(),
-                wanted: "this build has no rendered drives (build with --features lab); wanted random:…, a folder, an image, a recording or a video".to_owned(),
+                wanted: format!(
+                    "this build has no rendered drives (build with --features lab); {SOURCES_WANTED}"
+                ),
             });
         };
         return open(spec);
