@@ -51,22 +51,28 @@ pub enum Command {
 
 /// How sources are named, for the help of every command that takes a source.
 const SOURCES: &str = "Sources (put them in quotes, because shells interpret ? and &):
-  scene:sim[?seed=7&seconds=60&fps=10&condition=fog:3@20-40]   rendered drive; fog of severity 3 at 20 s, gone at 40 s;
-                                                               also size=WxH, without=ELEMENT; looks sim-realistic, game
-  random:[seed=1&frames=60]                                    random pixels
-  DIR[?fps=10]                                                 folder of PNG or JPEG images in the order of their
-                                                               names, 10 a second unless ?fps= gives another rate
-  FILE                                                         one image, or a video (through ffmpeg)
-  FILE.mcap[?topic=/camera]                                    recording with images of ROS 2 or Foxglove: the topic
-                                                               that ?topic= names, or its only topic with images";
+  scene:sim[?seed=7&seconds=60&fps=10&condition=fog:3@20-40]
+      rendered drive; the fog has severity 3 at 20 s and is gone at 40 s;
+      also size=WxH, without=ELEMENT, and the looks sim-realistic and game
+  random:[seed=1&frames=60]
+      random pixels
+  DIR[?fps=10]
+      folder of PNG or JPEG images in the order of their names, 10 a second unless ?fps= is given
+  FILE
+      one image, or a video (through ffmpeg)
+  FILE.mcap[?topic=/camera]
+      recording with images of ROS 2 or Foxglove: the topic that ?topic= names, or its only topic
+      with images";
 
 /// Run a drive through the monitor, as in the car
 ///
 /// Without SOURCE it runs the built-in drive of 60 s, which has fog from 20 s to 40 s. It prints one line on standard
 /// output for each change of state.
 #[derive(Debug, Args)]
-#[command(after_help = format!("{SOURCES}\n\nExit codes with --check:\n  0  at least 90 % of the time was judged, and there was no gap\n  \
-    1  there was a gap\n  3  less than 90 % of the time was judged\n\nExample:\n  gapwatch replay 'scene:sim?seed=5&condition=night:3@10-30' --can log:drive.log --journal drive.jsonl"))]
+#[command(after_help = format!("{SOURCES}\n\nExit codes with --check:\n  \
+    0  at least 90 % of the time was judged, and there was no gap\n  1  there was a gap\n  \
+    3  less than 90 % of the time was judged\n\nExample:\n  \
+    gapwatch replay 'scene:sim?seed=5&condition=night:3@10-30' --can log:drive.log --journal drive.jsonl"))]
 pub struct ReplayArgs {
     /// Source of the frames
     pub source: Option<String>,
@@ -235,7 +241,7 @@ pub struct MergeArgs {
     pub out: PathBuf,
 }
 
-/// Check whether a computer can do what its board file asks, and say what to do if it cannot
+/// Check whether a computer can do what its board asks, and say what to do if it cannot
 ///
 /// Prints one line for each check, with pass, warn, fail or left out: board file, model, reference, camera and its
 /// formats, bus and its other nodes, time and memory of a frame, clock, folders. It sends nothing. The exit code is 0
