@@ -161,7 +161,7 @@ fn wrong_use_is_met_with_one_line_and_exit_code_2_and_leaves_nothing_behind() {
         ),
         (
             vec!["replay", "--can", "can0"],
-            "an interface is written socketcan:can0",
+            "an interface is named socketcan:can0",
         ),
         (vec!["monitor"], "--board"),
         (

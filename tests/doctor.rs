@@ -137,7 +137,11 @@ fn a_black_camera_cannot_be_judged() {
         .find(|line| line.contains(" picture "))
         .unwrap();
     assert!(line.starts_with("fail") && line.contains("black"), "{line}");
-    assert!(ran.out.contains("do: see that the lens"), "{}", ran.out);
+    assert!(
+        ran.out.contains("do: check that nothing covers the lens"),
+        "{}",
+        ran.out
+    );
 }
 
 #[test]

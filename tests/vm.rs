@@ -547,7 +547,7 @@ fn vm_a_controller_in_trouble_is_told_and_nothing_is_lost_in_bus_off() {
     );
     let said = fs::read_to_string(share.join("adapter.err")).unwrap();
     assert!(
-        said.contains("Passive -> Off") && said.contains("off the bus"),
+        said.contains("Passive -> Off") && said.contains("bus-off"),
         "{said}"
     );
 }

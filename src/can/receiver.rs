@@ -27,7 +27,7 @@ impl fmt::Display for Heard {
         match self {
             Self::Clear => f.write_str("a valid GapClear"),
             Self::Invalid => f.write_str("an invalid GapClear, which is ignored"),
-            Self::Standing(standing) => write!(f, "the car stands: {standing:?}"),
+            Self::Standing(standing) => write!(f, "whether the car is not moving: {standing:?}"),
             Self::Foreign(id) => write!(f, "another node sends our CAN id {id:#X}"),
         }
     }

@@ -173,7 +173,7 @@ mod tests {
             assert!(line.contains(&format!("`{word}`")), "{line}");
             assert!(line.contains("give log:FILE"), "{line}");
             assert!(!line.contains('\n'), "{line}");
-            assert!(!line.contains("is written"), "{line}");
+            assert!(!line.contains("is named"), "{line}");
         }
         let line = Sink::parse("vcan1").unwrap_err().to_string();
         assert!(

@@ -54,8 +54,10 @@ pub enum Command {
 /// Without SOURCE it runs the built-in drive of 60 s, which has fog from 20 s to 40 s. It prints one line on standard
 /// output for each change of state.
 #[derive(Debug, Args)]
-#[command(after_help = format!("{SOURCES}\n\nExit codes with --check:\n  0  at least 90 % of the time was judged, and there was no gap\n  \
-    1  there was a gap\n  3  less than 90 % of the time was judged\n\nExample:\n  gapwatch replay 'scene:sim?seed=5&condition=night:3@10-30' --can log:drive.log --journal drive.jsonl"))]
+#[command(after_help = format!("{SOURCES}\n\nExit codes with --check:\n  \
+    0  at least 90 % of the time was judged, and there was no gap\n  1  there was a gap\n  \
+    3  less than 90 % of the time was judged\n\nExample:\n  \
+    gapwatch replay 'scene:sim?seed=5&condition=night:3@10-30' --can log:drive.log --journal drive.jsonl"))]
 pub struct ReplayArgs {
     /// Source of the frames
     pub source: Option<String>,
@@ -224,7 +226,7 @@ pub struct MergeArgs {
     pub out: PathBuf,
 }
 
-/// Check whether a computer can do what its board file asks, and say what to do if it cannot
+/// Check whether a computer can do what its board asks, and say what to do if it cannot
 ///
 /// Prints one line for each check, with pass, warn, fail or left out: board file, model, reference, camera and its
 /// formats, bus and its other nodes, time and memory of a frame, clock, folders. It sends nothing. The exit code is 0

@@ -15,9 +15,11 @@ use super::values::{SOURCES, TableFormat, whole};
 
 /// Compare image sets with the first one
 #[derive(Debug, Args)]
-#[command(after_help = format!("{SOURCES}\n\nThe metrics paper and ...-pearson are correlations (1 = equal). The others \
-    are distances (0 = equal): chi2, js (bits), hellinger and w1 on\nattention or log-energy histograms, frechet and mahalanobis \
-    on channels. frechet needs twice as many images as channels.\n\nExample:\n  gapwatch compare town01 town05 highway 'random:' --metric all --format csv"))]
+#[command(after_help = format!("{SOURCES}\n\n\
+    The metrics paper and ...-pearson are correlations (1 = equal). The others are distances (0 = equal): chi2, js (bits), \
+    hellinger and w1 on attention or log-energy histograms, frechet and mahalanobis on channels. frechet needs twice as \
+    many images as channels.\n\nExample:\n  \
+    gapwatch compare town01 town05 highway 'random:' --metric all --format csv"))]
 pub struct CompareArgs {
     /// The reference, then the sets to compare with it
     #[arg(value_name = "SOURCE", required = true, num_args = 2..)]

@@ -10,22 +10,28 @@ use gapwatch::reference::{WINDOW_S_MAX, WINDOW_S_MIN};
 /// How sources are named, for the help of every command that takes a source.
 #[cfg(feature = "lab")]
 pub const SOURCES: &str = "Sources (put them in quotes, because shells interpret ? and &):
-  scene:sim[?seed=7&seconds=60&fps=10&condition=fog:3@20-40]   rendered drive; fog of severity 3 at 20 s, gone at 40 s;
-                                                               also size=WxH, without=ELEMENT; looks sim-realistic, game
-  random:[seed=1&frames=60]                                    random pixels
-  DIR[?fps=10]                                                 folder of PNG or JPEG images in the order of their
-                                                               names, 10 a second unless ?fps= gives another rate
-  FILE                                                         one image, or a video (through ffmpeg)
-  FILE.mcap[?topic=/camera]                                    recording with images of ROS 2 or Foxglove: the topic
-                                                               that ?topic= names, or its only topic with images";
+  scene:sim[?seed=7&seconds=60&fps=10&condition=fog:3@20-40]
+      rendered drive; the fog has severity 3 at 20 s and is gone at 40 s;
+      also size=WxH, without=ELEMENT, and the looks sim-realistic and game
+  random:[seed=1&frames=60]
+      random pixels
+  DIR[?fps=10]
+      folder of PNG or JPEG images in the order of their names, 10 a second unless ?fps= is given
+  FILE
+      one image, or a video (through ffmpeg)
+  FILE.mcap[?topic=/camera]
+      recording with images of ROS 2 or Foxglove: the topic that ?topic= names, or its only topic
+      with images";
 
 /// How sources are named, for the help of every command that takes a source.
 #[cfg(not(feature = "lab"))]
 pub const SOURCES: &str = "Sources (put them in quotes, because shells interpret ? and &):
-  random:[seed=1&frames=60]                                    random pixels
-  DIR[?fps=10]                                                 folder of PNG or JPEG images in the order of their
-                                                               names, 10 a second unless ?fps= gives another rate
-  FILE                                                         one image, or a video (through ffmpeg)
+  random:[seed=1&frames=60]
+      random pixels
+  DIR[?fps=10]
+      folder of PNG or JPEG images in the order of their names, 10 a second unless ?fps= is given
+  FILE
+      one image, or a video (through ffmpeg)
 This build has no rendered drives (scene:) and reads no MCAP recordings; a build with --features lab does.";
 
 /// How a measurement is written.

@@ -94,7 +94,7 @@ pub fn check(board: &Board) -> Vec<Check> {
             ),
             Some(Some(standing)) => Check::pass(
                 "speed",
-                format!("CAN id {:#X}: the car {}", speed.id, if standing { "stands" } else { "drives" }),
+                format!("CAN id {:#X}: the car {}", speed.id, if standing { "is not moving" } else { "is moving" }),
             ),
         });
     }

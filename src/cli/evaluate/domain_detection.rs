@@ -12,9 +12,9 @@ use super::watched::Watched;
 use crate::cli::args::EvaluateArgs;
 
 /// What the rows mean.
-pub const ABOUT: &str = "Rendered drives in which an event happens: a condition grows to a severity, the world changes its \
-    look, or the picture becomes noise. An event is found if `Gap` is entered between its beginning and 2 s after its onset. \
-    Drives that were in `Gap` before, or that reported `SensorFault` instead, do not count as found.";
+pub const ABOUT: &str = "Rendered drives in which an event happens: a condition grows to a severity, the world changes \
+    its look, or the picture becomes noise. An event is found if `Gap` is entered between its beginning and 2 s after \
+    its onset. Drives that were in `Gap` before, or that reported `SensorFault` instead, do not count as found.";
 
 /// Number of drives for each event in the full evaluation, and in the quick one.
 const DRIVES: (u32, u32) = (20, 1);

@@ -12,12 +12,13 @@ use super::watched::Watched;
 use crate::cli::args::EvaluateArgs;
 
 /// What the rows mean.
-pub const ABOUT: &str = "Entries into `Gap` on nominal drives that were not used for tuning, at thresholds made for a wanted \
-    rate. Intervals come from resampling drives, because a road near the threshold enters `Gap` more than once. They are never \
-    narrower than the exact intervals of independent entries (Poisson). A rate is *not louder than asked* if its one-sided 95 % \
-    upper bound is at most the wanted rate, and *louder than asked* if its one-sided 95 % lower bound is above it. Otherwise it is \
-    *not shown*, and the number of missing hours without an entry is given. A row without one-sided bounds is judged by the ends \
-    of its two-sided interval, which is wider. Only judged hours count.";
+pub const ABOUT: &str = "Entries into `Gap` on nominal drives that were not used for tuning, at thresholds made for a \
+    wanted rate. Intervals come from resampling drives, because a road near the threshold enters `Gap` more than once. \
+    They are never narrower than the exact intervals of independent entries (Poisson). A rate is *not louder than \
+    asked* if its one-sided 95 % upper bound is at most the wanted rate, and *louder than asked* if its one-sided 95 % \
+    lower bound is above it. Otherwise it is *not shown*, and the number of missing hours without an entry is given. A \
+    row without one-sided bounds is judged by the ends of its two-sided interval, which is wider. Only judged hours \
+    count.";
 
 /// A row as it is in a file: the words are beside its numbers for the reader. They are not read back, but made from the
 /// numbers again.

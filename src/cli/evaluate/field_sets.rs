@@ -12,15 +12,16 @@ use super::sheet::{Sheet, with_interval};
 use crate::cli::args::EvaluateArgs;
 
 /// What the rows mean.
-pub const ABOUT: &str = "Disjoint windows of N images of other roads are compared with windows of the same size of unseen \
-    images of the reference's own domain. AUROC is how often a window of the set has the larger gap. Recall is the share of \
-    windows of the set above the lowest threshold that at most 5 % of the nominal windows exceed; there is none if there are \
-    fewer than 20 nominal windows. Every second block of the reference makes histograms or moments, and the others scale the \
-    gaps of the taps. `fused` is the largest score of the taps, as in the monitor. Intervals are 95 %: percentiles over 1,000 \
-    resamples of whole blocks of neighbouring images. Blocks are at least twice as long as the autocorrelation time of the \
-    gaps. Intervals are never narrower than the score interval for as many independent values as there are blocks (Newcombe \
-    2006 for AUROC, Wilson for recall). The reference is not resampled. Each set is one drive or town, so intervals say what \
-    other moments of the same recordings would give, and not what other roads would give.";
+pub const ABOUT: &str = "Disjoint windows of N images of other roads are compared with windows of the same size of \
+    unseen images of the reference's own domain. AUROC is how often a window of the set has the larger gap. Recall is \
+    the share of windows of the set above the lowest threshold that at most 5 % of the nominal windows exceed; if \
+    there are fewer than 20 nominal windows, none of them exceeds it. Every second block of the reference makes \
+    histograms or moments, and the others scale the gaps of the taps. `fused` is the largest score of the taps, as in \
+    the monitor. Intervals are 95 %: percentiles over 1,000 resamples of whole blocks of neighbouring images. Blocks \
+    are at least twice as long as the autocorrelation time of the gaps. Intervals are never narrower than the score \
+    interval for as many independent values as there are blocks (Newcombe 2006 for AUROC, Wilson for recall). The \
+    reference is not resampled. Each set is one drive or town, so intervals say what other moments of the same \
+    recordings would give, and not what other roads would give.";
 
 /// Name of the rendered reference.
 const RENDERED: &str = "scene:sim";

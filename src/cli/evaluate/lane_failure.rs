@@ -14,13 +14,14 @@ use super::sheet::{Sheet, with_interval};
 use crate::cli::args::EvaluateArgs;
 
 /// What the rows mean.
-pub const ABOUT: &str = "A failure is a second whose lane IoU is below half of that of the same second on a plain day. It is found if \
-    `Gap` is entered between 5 s before and 1 s after its onset. The drives have the plain look and were not used for tuning. Each \
-    kind of condition, at severities 1 to 5, grows for 2 s, stays for 8 s and fades for 2 s. AUROC and Spearman are over the seconds \
-    under a condition; their intervals come from resampling roads. A drive is benign if it keeps 0.9 of its lane IoU. Every method \
-    has its own reference and thresholds from the same nominal drives. False alarms are counted on other nominal drives; with several \
-    forecasts, those of the forecast with the most are given. `lane-risk` is fitted on drives under the same kinds of condition, and \
-    `lane-risk, fitted on other kinds` never on the kind that is judged.";
+pub const ABOUT: &str = "A failure is a second whose lane IoU is below half of that of the same second on a plain day. \
+    It is found if `Gap` is entered between 5 s before and 1 s after its onset. The drives have the plain look and \
+    were not used for tuning. Each kind of condition, at severities 1 to 5, grows for 2 s, stays for 8 s and fades for \
+    2 s. AUROC and Spearman are over the seconds under a condition; their intervals come from resampling roads. A \
+    drive is benign if it keeps 0.9 of its lane IoU. Every method has its own reference and thresholds from the same \
+    nominal drives. False alarms are counted on other nominal drives; with several forecasts, those of the forecast \
+    with the most are given. `lane-risk` is fitted on drives under the same kinds of condition, and `lane-risk, fitted \
+    on other kinds` never on the kind that is judged.";
 
 /// The model that is judged.
 pub struct Judged {

@@ -16,8 +16,8 @@ use crate::cli::args::EvaluateArgs;
 
 /// What the rows mean.
 pub const ABOUT: &str = "Intersection over union of the lane model's output with the true lane lines, pooled over all \
-    pixels of scenes that were not used for training. The title gives the value on plain days, and the table gives the values \
-    under conditions. Intervals are 95 %, from resampling scenes.";
+    pixels of scenes that were not used for training. The title gives the value on plain days, and the table gives the \
+    values under conditions. Intervals are 95 %, from resampling scenes.";
 
 /// Number of scenes for each setting in the full evaluation, and in the quick one.
 const SCENES: (u32, u32) = (100, 6);

@@ -9,15 +9,15 @@ use super::sheet::{Sheet, with_interval};
 use crate::cli::args::EvaluateArgs;
 
 /// What the rows mean.
-pub const ABOUT: &str = "Whole image sets are compared with a reference set, as in the paper's table: another set of the \
-    reference's own domain, adapted simulation (look `sim-realistic`), plain simulation (look `sim`) or real images, and \
-    noise, with equal numbers of images. `paper` is Pearson's correlation of softmax attention at T = 10, bins 101 to 255 (1 = \
-    equal). `mahalanobis`, a distance, is given for comparison. Intervals are 95 %: percentiles over 1,000 resamples, with \
-    replacement, of blocks of images of the reference and of the sets. A block is 2 s of a clip, or a single rendered scene \
-    from a drive of its own. The intervals are moved so that their centre is the value found, because drawing with \
-    replacement adds noise that lowers every similarity. Order says whether the similarities fall from the first set to the \
-    last, and in what share of the resamples they do. The paper's order does not have to hold here, because the encoder is \
-    trained on simulation, and the real images show one road.";
+pub const ABOUT: &str = "Whole image sets are compared with a reference set, as in the paper's table: another set of \
+    the reference's own domain, adapted simulation (look `sim-realistic`), plain simulation (look `sim`) or real \
+    images, and noise, with equal numbers of images. `paper` is Pearson's correlation of softmax attention at T = 10, \
+    bins 101 to 255 (1 = equal). `mahalanobis`, a distance, is given for comparison. Intervals are 95 %: percentiles \
+    over 1,000 resamples, with replacement, of blocks of images of the reference and of the sets. A block is 2 s of a \
+    clip, or a single rendered scene from a drive of its own. The intervals are moved so that their centre is the \
+    value found, because drawing with replacement adds noise that lowers every similarity. Order says whether the \
+    similarities fall from the first set to the last, and in what share of the resamples they do. The paper's order \
+    does not have to hold here, because the encoder is trained on simulation, and the real images show one road.";
 
 /// Rendered sets with one image for each drive: the plain simulation, more of it, and the adapted simulation.
 fn rendered(quick: bool) -> [String; 3] {

@@ -27,12 +27,13 @@ use crate::cli::args::EvaluateArgs;
 use crate::cli::loaded_model::LoadedModel;
 
 /// What the rows mean.
-pub const ABOUT: &str = "Cost of a judged second of driving, and what is missed, at thresholds for one false alarm an hour. Cost is CPU \
-    time on one thread, from a camera's buffer of 1280x720 YUYV to the verdict, with all taps, on the machine that made this \
-    table. Missed drives are drives under a condition of severity 3 to 5 in which `Gap` was not entered within 2 s after the \
-    condition had reached its severity. The condition grows for 2 s, and the delay counts from its beginning. AUROC is about failed \
-    seconds of the lane model, by the default metric and by `lane-risk`. A point is on the front if no other point is better in cost, \
-    missed share, delay and AUROC by `lane-risk` together.";
+pub const ABOUT: &str = "Cost of a judged second of driving, and what is missed, at thresholds for one false alarm an \
+    hour. Cost is CPU time on one thread, from a camera's buffer of 1280x720 YUYV to the verdict, with all taps, on \
+    the machine that made this table. Missed drives are drives under a condition of severity 3 to 5 in which `Gap` was \
+    not entered within 2 s after the condition had reached its severity. The condition grows for 2 s, and the delay \
+    counts from its beginning. AUROC is about failed seconds of the lane model, by the default metric and by \
+    `lane-risk`. A point is on the front if no other point is better in cost, missed share, delay and AUROC by \
+    `lane-risk` together.";
 
 /// Number of frames whose cost is measured, and of frames before them that fill buffers.
 const MEASURED: u32 = 60;

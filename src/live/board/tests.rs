@@ -84,7 +84,7 @@ fn what_is_not_understood_is_refused_with_its_line_and_what_would_do() {
             "sources",
             "unknown key sources in [camera]; wanted source, format, size or fps",
         ),
-        (4, "\"none\"", "\"can0\"", "written socketcan:can0"),
+        (4, "\"none\"", "\"can0\"", "named socketcan:can0"),
         (4, "\"none\"", "3", "sink = 3; wanted log:FILE"),
         (
             1,
