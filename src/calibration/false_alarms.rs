@@ -11,7 +11,7 @@ use crate::reference::{FalseAlarms, NominalDrives, RateFactor};
 use crate::statistics::bootstrap;
 use crate::statistics::event_rate::poisson_interval;
 
-/// Factors that are tried: the first one, and the ratio of each to the one before.
+/// Factors that are tried: the first one, the ratio of each to the one before, and their number.
 const FACTOR_MIN: f64 = 0.1;
 const FACTOR_STEP: f64 = 1.02;
 const FACTORS: i32 = 350;
