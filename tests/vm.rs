@@ -13,7 +13,6 @@
 mod faults;
 mod share;
 
-use std::fmt::Write as _;
 use std::fs;
 use std::process::Command;
 

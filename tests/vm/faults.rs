@@ -2,6 +2,7 @@
 
 use std::fmt::Write as _;
 
+use gapwatch::can::message::GapStatus;
 use gapwatch::monitor::alarm::{AlarmState, Reason};
 
 use super::share::*;
