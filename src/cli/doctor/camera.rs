@@ -151,6 +151,9 @@ fn remedy(source: &str) -> String {
     let Some(device) = source.strip_prefix("v4l2:") else {
         return "name a camera, v4l2:/dev/videoN, or a drive as source in [camera]".to_owned();
     };
+    if cfg!(not(feature = "camera")) {
+        return "use a program that is built with --features camera".to_owned();
+    }
     let opened = OpenOptions::new().read(true).write(true).open(device);
     match opened.map_err(|error| error.kind()) {
         Err(ErrorKind::NotFound) if !Path::new("/dev/video0").exists() => {
