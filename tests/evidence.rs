@@ -159,7 +159,7 @@ fn what_is_no_event_is_left_alone_and_read_past() {
         ],
     )
     .ok();
-    assert!(said.contains("evidence: 1 events written"), "{said}");
+    assert!(said.contains("evidence: 1 event written"), "{said}");
     let report = ["report", "j", "--evidence", "seen", "--out", "r.html"];
     gapwatch_in(folder.path(), &report).ok();
     let page = fs::read_to_string(folder.path().join("r.html")).unwrap();
@@ -264,7 +264,8 @@ fn root_a_full_disk_costs_events_and_no_verdict() {
     assert!((1..6).contains(&whole), "{whole} events");
     assert!(
         said.contains(&format!(
-            "evidence: {whole} events written, {} could not be written",
+            "evidence: {whole} event{} written, {} could not be written",
+            if whole == 1 { "" } else { "s" },
             6 - whole
         )),
         "{said}"

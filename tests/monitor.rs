@@ -330,10 +330,10 @@ fn a_board_keeps_evidence_beside_it_also_when_it_is_killed() {
     };
     let short = board.replace("seconds=60", "seconds=7");
     let said = run(&short, &["--journal", "j"]);
-    assert!(said.contains("evidence: 1 events written"), "{said}");
+    assert!(said.contains("evidence: 1 event written"), "{said}");
     assert_eq!(whole_events(&seen), ["000001", "000002"]);
     let said = run(&short, &["--evidence", "other"]);
-    assert!(said.contains("evidence: 1 events written"), "{said}");
+    assert!(said.contains("evidence: 1 event written"), "{said}");
     assert_eq!(whole_events(&folder.path().join("other")), ["000001"]);
     let none = short.split("[evidence]").next().unwrap();
     assert!(!run(none, &[]).contains("evidence"));

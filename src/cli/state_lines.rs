@@ -28,7 +28,8 @@ pub fn state_line(verdict: &Verdict) -> String {
 
 /// One readable line about the evidence of a run.
 pub fn evidence_line(kept: EventCounts, out: &mut dyn Write) -> std::io::Result<()> {
-    write!(out, "evidence: {} events written", kept.events)?;
+    let events = if kept.events == 1 { "event" } else { "events" };
+    write!(out, "evidence: {} {events} written", kept.events)?;
     for (count, what) in [
         (kept.removed, "older ones removed"),
         (kept.failed, "could not be written"),
