@@ -29,6 +29,7 @@ mod source;
 mod spec;
 mod standing;
 mod surroundings;
+mod textures;
 mod traffic;
 mod tunnel;
 mod weather;

@@ -3,9 +3,11 @@
 use super::canvas::Canvas;
 use super::conditions::{ConditionKind, RAIN_MIRROR, SNOW_ROAD, graded};
 use super::light::{Colour, blended, scaled};
-use super::markings::{Line, PaintRow};
-use super::moment::{Moment, SNOW};
+use super::markings::PaintRow;
+use super::moment::Moment;
 use super::projection::GroundRow;
+use super::textures::wheel_track;
+use crate::model::vectors::Vectors;
 
 /// Lane lines are labelled up to this distance, metres.
 const LABEL_REACH_M: f32 = 60.0;
@@ -15,25 +17,44 @@ const KERB: Colour = [0.34, 0.34, 0.33];
 impl Moment<'_> {
     pub(super) fn paint_ground(&self, label_half_px: f32, canvas: &mut Canvas, mask: &mut [u8]) {
         let width = canvas.width;
+        let mut strip = Strip {
+            azimuths: self.azimuths(0.0, width),
+            sky: vec![[0.0; 3]; width],
+            d_m: vec![0.0; width],
+        };
         for (y, row) in self.view.rows.iter().enumerate() {
             let Some(row) = row else { continue };
             let span = y * width..(y + 1) * width;
             canvas.depth_m[span.clone()].fill(row.z_m);
-            self.paint_ground_row(
-                (y, row),
-                label_half_px,
-                &mut canvas.light[span.clone()],
-                &mut mask[span],
+            let (light, mask) = (&mut canvas.light[span.clone()], &mut mask[span]);
+            Vectors::fastest().vectorised(
+                #[inline(always)]
+                || {
+                    self.place(row, &mut strip.d_m);
+                    self.paint_ground_row((y, row), &mut strip, light);
+                    self.label(row, label_half_px, &strip.d_m, mask);
+                },
             );
         }
     }
 
+    /// Offsets of the pixels of a row from the middle of the ego lane, metres. The camera is beside it because of sway
+    /// and mount.
+    #[inline(always)]
+    fn place(&self, row: &GroundRow, d_m: &mut [f32]) {
+        let left_m = self.lateral(row, 0.5);
+        let metres_a_pixel = row.z_m / self.projection.focal_px;
+        for (x, d_m) in d_m.iter_mut().enumerate() {
+            *d_m = left_m + x as f32 * metres_a_pixel;
+        }
+    }
+
+    #[inline(always)]
     fn paint_ground_row(
         &self,
         (y, row): (usize, &GroundRow),
-        label_half_px: f32,
+        strip: &mut Strip,
         light: &mut [Colour],
-        mask: &mut [u8],
     ) {
         let drive = self.drive;
         let layout = &drive.layout;
@@ -41,17 +62,8 @@ impl Moment<'_> {
         let metres_a_pixel = row.z_m / self.projection.focal_px;
         let textures = drive
             .surroundings
-            .ground_row(s_m, row.length_m.max(metres_a_pixel));
-        let paint = PaintRow::new(layout, s_m, row.length_m);
-        let label_half_m = label_half_px * metres_a_pixel;
-        // A line that is `d` metres to the side has the slope d / height in the picture. Its label has the same width
-        // across the line as along a row.
-        let camera_d_m = self.lateral(row, self.projection.centre_x);
-        let slant = |d_m: f32| {
-            let slope = (d_m - camera_d_m) / self.projection.height_m;
-            (1.0 + slope * slope).sqrt()
-        };
-        let labelled = row.z_m <= LABEL_REACH_M;
+            .textures
+            .row(s_m, row.length_m.max(metres_a_pixel));
         let wet = graded(RAIN_MIRROR, self.severities.of(ConditionKind::Rain));
         let mirror = wet * row.z_m / (row.z_m + 12.0);
         let in_tunnel = self.tunnel.as_ref().is_some_and(|t| t.covers(row.z_m));
@@ -65,48 +77,58 @@ impl Moment<'_> {
         };
         let below_horizon =
             ((y as f32 + 0.5) - self.projection.horizon_y).max(0.0) / self.projection.focal_px;
-        // Positions on the ground are measured from the middle of the ego lane; the camera is beside it because of sway
-        // and mount.
-        let left_m = self.lateral(row, 0.5);
-        for (x, (light, mask)) in light.iter_mut().zip(mask).enumerate() {
-            let d_m = left_m + x as f32 * metres_a_pixel;
-            let (from_m, to_m) = layout.asphalt_m;
-            let ground = if (from_m..to_m).contains(&d_m) {
-                let phase = d_m - layout.lane_width_m * (d_m / layout.lane_width_m).round();
-                let base = textures.asphalt(d_m, phase, metres_a_pixel);
-                let painted = match paint.at(d_m, metres_a_pixel) {
-                    Some((share, colour)) => blended(base, colour, share),
-                    None => base,
+        let left_of = |edge_m: f32| strip.d_m.iter().filter(|&&d_m| d_m < edge_m).count();
+        let asphalt = left_of(layout.asphalt_m.0)..left_of(layout.asphalt_m.1);
+        for verge in [0..asphalt.start, asphalt.end..light.len()] {
+            let (d_m, light) = (&strip.d_m[verge.clone()], &mut light[verge]);
+            if in_tunnel {
+                light.fill(KERB);
+                continue;
+            }
+            textures.verge(d_m, light);
+            if snow_on_verge > 0.0 {
+                textures.snow(d_m, |_| snow_on_verge, light);
+            }
+        }
+        {
+            let d_m = &strip.d_m[asphalt.clone()];
+            let light = &mut light[asphalt.clone()];
+            textures.asphalt(d_m, layout.lane_width_m, metres_a_pixel, light);
+            PaintRow::new(layout, s_m, row.length_m).paint(d_m, metres_a_pixel, light);
+            if snow_on_road > 0.0 {
+                // Wheels clear their tracks as long as any road can be seen.
+                let cover = |d_m: f32| {
+                    let track = wheel_track(d_m, layout.lane_width_m);
+                    snow_on_road * (1.0 - 0.6 * track * (1.0 - snow_on_road))
                 };
-                let painted = if snow_on_road > 0.0 {
-                    // Wheels clear their tracks as long as any road can be seen.
-                    let track = 1.0 - ((phase.abs() - 0.85).abs() / 0.45).min(1.0);
-                    let cover = snow_on_road * (1.0 - 0.6 * track * (1.0 - snow_on_road));
-                    blended(painted, SNOW, textures.snow(d_m, cover))
-                } else {
-                    painted
-                };
-                if mirror > 0.0 {
-                    let sky = self.sky_at(x as f32, below_horizon);
-                    blended(scaled(painted, 1.0 - 0.4 * wet), sky, mirror)
-                } else {
-                    painted
+                textures.snow(d_m, cover, light);
+            }
+            if mirror > 0.0 {
+                let sky = &mut strip.sky[asphalt.clone()];
+                self.sky(&strip.azimuths[asphalt], below_horizon, sky);
+                for (light, sky) in light.iter_mut().zip(sky) {
+                    *light = blended(scaled(*light, 1.0 - 0.4 * wet), *sky, mirror);
                 }
-            } else if in_tunnel {
-                KERB
-            } else if snow_on_verge > 0.0 {
-                blended(textures.verge(d_m), SNOW, textures.snow(d_m, snow_on_verge))
-            } else {
-                textures.verge(d_m)
-            };
-            let shade = drive.light.shade(s_m, d_m);
-            *light = [0, 1, 2].map(|i| ground[i] * drive.light.ground[i] * shade);
-            if labelled {
-                let on_line = |l: &Line| {
-                    (d_m - l.offset_m).abs()
-                        <= (0.5 * l.width_m).max(label_half_m * slant(l.offset_m))
-                };
-                *mask = if layout.lines.iter().any(on_line) {
+            }
+        }
+        drive.light.fall_on(s_m, &strip.d_m, light);
+    }
+
+    /// Labels the lane lines in a row at the offsets `d_m`.
+    #[inline(always)]
+    fn label(&self, row: &GroundRow, label_half_px: f32, d_m: &[f32], mask: &mut [u8]) {
+        if row.z_m > LABEL_REACH_M {
+            return;
+        }
+        let label_half_m = label_half_px * (row.z_m / self.projection.focal_px);
+        // A line that is `d` metres to the side has the slope d / height in the picture. Its label has the same width
+        // across the line as along a row.
+        let camera_d_m = self.lateral(row, self.projection.centre_x);
+        for line in &self.drive.layout.lines {
+            let slope = (line.offset_m - camera_d_m) / self.projection.height_m;
+            let half_m = (0.5 * line.width_m).max(label_half_m * (1.0 + slope * slope).sqrt());
+            for (mask, d_m) in mask.iter_mut().zip(d_m) {
+                *mask |= if (d_m - line.offset_m).abs() <= half_m {
                     255
                 } else {
                     0
@@ -114,4 +136,14 @@ impl Moment<'_> {
             }
         }
     }
+}
+
+/// Values along one row of the picture, which are kept from row to row.
+struct Strip {
+    /// Compass directions, radians.
+    azimuths: Vec<f32>,
+    /// The sky that a wet road mirrors.
+    sky: Vec<Colour>,
+    /// Offsets from the middle of the ego lane, metres.
+    d_m: Vec<f32>,
 }

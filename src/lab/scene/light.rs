@@ -1,17 +1,19 @@
 //! Light and air of a nominal drive: sun, sky, haze and the exposure that follows them.
 
-use super::noise::{Draws, value_noise};
+use super::noise::{BLOCK, Draws, NoiseColumn, NoiseRow};
 use super::world::{Element, Look, World};
 
 /// A colour in linear light: red, green and blue; 1 is a white sheet in full light.
 pub type Colour = [f32; 3];
 
 /// Scales a colour.
+#[inline(always)]
 pub fn scaled(colour: Colour, by: f32) -> Colour {
     colour.map(|c| c * by)
 }
 
 /// Interpolates from `a` to `b` as `t` goes from 0 to 1.
+#[inline(always)]
 pub fn blended(a: Colour, b: Colour, t: f32) -> Colour {
     [
         a[0] + (b[0] - a[0]) * t,
@@ -90,26 +92,48 @@ impl Light {
         }
     }
 
-    /// The sky in direction `azimuth` (radians, right positive) and `elevation` (radians, above 0).
-    pub fn sky(&self, azimuth: f32, elevation: f32) -> Colour {
+    /// The sky in the directions `azimuths` (radians, right positive) at one elevation (radians, above 0).
+    #[inline(always)]
+    pub fn sky(&self, azimuths: &[f32], elevation: f32, colours: &mut [Colour]) {
         let up = (elevation / 0.5).clamp(0.0, 1.0);
         let clear = blended(self.horizon, self.zenith, up);
+        if up <= 0.0 || self.cloud_cover < 0.0 {
+            colours.fill(clear);
+            return;
+        }
         let sheet = 0.25 / f64::from(elevation.max(0.02));
-        let (x, y) = (f64::from(azimuth) * sheet * 1.5, sheet);
-        let puff = 0.65 * value_noise(self.cloud_seed, x, y)
-            + 0.35 * value_noise(self.cloud_seed ^ 1, 2.3 * x, 2.3 * y);
-        let cover = ((puff - 1.0 + self.cloud_cover) * 4.0).clamp(0.0, 1.0) * up.min(1.0);
-        blended(clear, [0.93, 0.94, 0.96], 0.8 * cover)
+        let large = NoiseColumn::new(self.cloud_seed, sheet);
+        let small = NoiseColumn::new(self.cloud_seed ^ 1, 2.3 * sheet);
+        for (azimuths, colours) in azimuths.chunks(BLOCK).zip(colours.chunks_mut(BLOCK)) {
+            let large = large.block(azimuths, |azimuth| f64::from(azimuth) * sheet * 1.5);
+            let small = small.block(azimuths, |azimuth| 2.3 * (f64::from(azimuth) * sheet * 1.5));
+            for ((colour, large), small) in colours.iter_mut().zip(&large).zip(&small) {
+                let puff = 0.65 * large + 0.35 * small;
+                let cover = ((puff - 1.0 + self.cloud_cover) * 4.0).clamp(0.0, 1.0) * up;
+                *colour = blended(clear, [0.93, 0.94, 0.96], 0.8 * cover);
+            }
+        }
     }
 
-    /// Share of light on the road at arc length `s_m` and offset `d_m`, because roadside shadows fall across it.
-    pub fn shade(&self, s_m: f64, d_m: f32) -> f32 {
+    /// Lights the road at arc length `s_m` and offsets `d_m`; roadside shadows fall across it.
+    #[inline(always)]
+    pub fn fall_on(&self, s_m: f64, d_m: &[f32], colours: &mut [Colour]) {
+        let lit = |colour: Colour| [0, 1, 2].map(|i| colour[i] * self.ground[i]);
         if self.shadow_depth <= 0.02 {
-            return 1.0;
+            for colour in colours {
+                *colour = lit(*colour);
+            }
+            return;
         }
-        let reach = value_noise(self.shadow_seed, s_m / 7.0, f64::from(d_m) / 9.0);
-        let side = (f64::from(d_m) * self.shadow_side + 6.0).clamp(0.0, 12.0) as f32 / 12.0;
-        let dark = ((reach - self.shadow_density + 0.25 * (side - 0.5)) * 6.0).clamp(0.0, 1.0);
-        1.0 - self.shadow_depth * dark
+        let shadows = NoiseRow::new(self.shadow_seed, s_m / 7.0);
+        for (d_m, colours) in d_m.chunks(BLOCK).zip(colours.chunks_mut(BLOCK)) {
+            let reaches = shadows.block(d_m, |d| f64::from(d) / 9.0);
+            for ((colour, &d_m), reach) in colours.iter_mut().zip(d_m).zip(&reaches) {
+                let side = (f64::from(d_m) * self.shadow_side + 6.0).clamp(0.0, 12.0) as f32 / 12.0;
+                let dark =
+                    ((reach - self.shadow_density + 0.25 * (side - 0.5)) * 6.0).clamp(0.0, 1.0);
+                *colour = scaled(lit(*colour), 1.0 - self.shadow_depth * dark);
+            }
+        }
     }
 }

@@ -1,7 +1,7 @@
 //! What is painted on the road: the lines, their positions, and their wear.
 
-use super::light::Colour;
-use super::noise::{Draws, NoiseRow};
+use super::light::{Colour, blended};
+use super::noise::{BLOCK, Draws, NoiseRow};
 use super::world::{Element, Look, World};
 
 /// Largest number of lanes in the direction of travel.
@@ -121,7 +121,8 @@ impl Layout {
 /// The paint along one image row: the lines on the part of the road that the row shows.
 pub struct PaintRow<'a> {
     layout: &'a Layout,
-    cover: heapless::Vec<f32, 8>,
+    /// Lines from left to right that are painted here, and their shares of the length.
+    lines: heapless::Vec<(&'a Line, f32), 8>,
     wear: NoiseRow,
     worn: bool,
 }
@@ -131,38 +132,97 @@ impl<'a> PaintRow<'a> {
     pub fn new(layout: &'a Layout, s_m: f64, length_m: f32) -> Self {
         Self {
             layout,
-            cover: layout
+            lines: layout
                 .lines
                 .iter()
                 .map(|line| {
-                    line.dash_m
-                        .map_or(1.0, |dash| dash_cover(dash, s_m, length_m))
+                    let cover = line
+                        .dash_m
+                        .map_or(1.0, |dash| dash_cover(dash, s_m, length_m));
+                    (line, cover)
                 })
+                .filter(|(_, cover)| *cover > 0.0)
                 .collect(),
             wear: NoiseRow::new(layout.wear_seed, s_m / 0.35),
             worn: length_m < 2.0,
         }
     }
 
-    /// Share of paint on `width_m` metres around offset `d_m`, and its colour.
+    /// Paints the pixels at the ascending offsets `d_m` from the middle of the ego lane; each covers `width_m`.
     ///
     /// Coverage is the exact overlap of line and pixel, so that thin lines far away fade and do not flicker.
-    pub fn at(&self, d_m: f32, width_m: f32) -> Option<(f32, Colour)> {
-        for (line, cover) in self.layout.lines.iter().zip(&self.cover) {
-            let overlap = (0.5 * (line.width_m + width_m) - (d_m - line.offset_m).abs()) / width_m;
-            let share = overlap.clamp(0.0, (line.width_m / width_m).min(1.0)) * cover;
-            if share > 0.0 {
-                let grain = if self.worn {
-                    self.wear.at(f64::from(d_m) / 0.12)
-                } else {
-                    0.5
-                };
-                let kept = 1.0 - self.layout.wear * (0.35 + 0.65 * grain);
-                return Some((share * kept, self.layout.colours[usize::from(line.yellow)]));
+    #[inline(always)]
+    pub fn paint(&self, d_m: &[f32], width_m: f32, colours: &mut [Colour]) {
+        let pixels_of = |line: &Line| pixels(line, d_m, width_m);
+        let mut lines = self.lines.as_slice();
+        while let Some((first, _)) = lines.first() {
+            // Far away, several lines can be in one pixel.
+            let (mut pixels, mut together) = (pixels_of(first), 1);
+            while let Some((next, _)) = lines.get(together) {
+                let next = pixels_of(next);
+                if next.start >= pixels.end {
+                    break;
+                }
+                pixels.end = pixels.end.max(next.end);
+                together += 1;
+            }
+            let (these, rest) = lines.split_at(together);
+            let (d_m, colours) = (&d_m[pixels.clone()], &mut colours[pixels]);
+            for (d_m, colours) in d_m.chunks(BLOCK).zip(colours.chunks_mut(BLOCK)) {
+                self.paint_block(these, d_m, width_m, colours);
+            }
+            lines = rest;
+        }
+    }
+
+    /// Paints `lines` in up to [`BLOCK`] pixels; the first of the lines in a pixel is seen.
+    #[inline(always)]
+    fn paint_block(
+        &self,
+        lines: &[(&Line, f32)],
+        d_m: &[f32],
+        width_m: f32,
+        colours: &mut [Colour],
+    ) {
+        let (mut shares, mut yellow) = ([0.0; BLOCK], [false; BLOCK]);
+        for (line, cover) in lines {
+            let most = (line.width_m / width_m).min(1.0);
+            for ((share, yellow), d_m) in shares.iter_mut().zip(&mut yellow).zip(d_m) {
+                let overlap =
+                    (0.5 * (line.width_m + width_m) - (d_m - line.offset_m).abs()) / width_m;
+                let of_line = overlap.max(0.0).min(most) * cover;
+                if *share <= 0.0 && of_line > 0.0 {
+                    (*share, *yellow) = (of_line, line.yellow);
+                }
             }
         }
-        None
+        let grains = if self.worn {
+            self.wear.block(d_m, |d| f64::from(d) / 0.12)
+        } else {
+            [0.5; BLOCK]
+        };
+        let paints = shares.iter().zip(&yellow);
+        for ((colour, grain), (share, yellow)) in colours.iter_mut().zip(&grains).zip(paints) {
+            let kept = 1.0 - self.layout.wear * (0.35 + 0.65 * grain);
+            *colour = blended(
+                *colour,
+                self.layout.colours[usize::from(*yellow)],
+                share * kept,
+            );
+        }
     }
+}
+
+/// The pixels at the ascending offsets `d_m`, each `width_m` wide, that a line may touch, and a few more.
+fn pixels(line: &Line, d_m: &[f32], width_m: f32) -> std::ops::Range<usize> {
+    let reach_m = 0.5 * (line.width_m + width_m);
+    let first_m = d_m.first().copied().unwrap_or_default();
+    let pixel = |at_m: f32| ((at_m - first_m) / width_m).clamp(-2.0, d_m.len() as f32);
+    let (from, to) = (
+        pixel(line.offset_m - reach_m) - 1.0,
+        pixel(line.offset_m + reach_m) + 3.0,
+    );
+    (from.max(0.0) as usize).min(d_m.len())..(to.max(0.0) as usize).min(d_m.len())
 }
 
 fn dash_cover((paint, gap): (f32, f32), s_m: f64, length_m: f32) -> f32 {

@@ -6,10 +6,9 @@ use super::conditions::{ConditionKind, SNOW_VERGE, Severities, graded};
 use super::light::{Colour, blended, scaled};
 use super::projection::{GroundRow, GroundView, Projection};
 use super::road::{Pose, RoadAhead};
+use super::textures::SNOW;
 use super::tunnel::Tunnel;
-
-/// Colour of snow in full light.
-pub(super) const SNOW: Colour = [0.86, 0.88, 0.92];
+use crate::model::vectors::Vectors;
 
 /// One moment of a drive and the camera that looks at it.
 pub(super) struct Moment<'a> {
@@ -77,13 +76,26 @@ impl<'a> Moment<'a> {
         f64::from(self.drive.road.curvature(self.pose.s_m)) * 60.0
     }
 
-    pub(super) fn sky_at(&self, x: f32, elevation: f32) -> Colour {
-        let azimuth = (x - self.projection.centre_x) / self.projection.focal_px;
-        let sky = self
-            .drive
-            .light
-            .sky(azimuth + self.compass() as f32, elevation);
-        blended(sky, [0.74, 0.76, 0.79], 0.8 * self.snow_on_verge())
+    /// Compass directions, radians, that the columns of a picture show: the first one at `first`, in pixels.
+    pub(super) fn azimuths(&self, first: f32, width: usize) -> Vec<f32> {
+        let compass = self.compass() as f32;
+        (0..width)
+            .map(|x| {
+                (x as f32 + first - self.projection.centre_x) / self.projection.focal_px + compass
+            })
+            .collect()
+    }
+
+    /// The sky in the compass directions `azimuths` at one elevation, radians.
+    #[inline(always)]
+    pub(super) fn sky(&self, azimuths: &[f32], elevation: f32, colours: &mut [Colour]) {
+        self.drive.light.sky(azimuths, elevation, colours);
+        let snow = self.snow_on_verge();
+        if snow > 0.0 {
+            for colour in colours {
+                *colour = blended(*colour, [0.74, 0.76, 0.79], 0.8 * snow);
+            }
+        }
     }
 
     /// Share of the verge under snow.
@@ -104,20 +116,31 @@ impl<'a> Moment<'a> {
             0.7 * self.snow_on_verge(),
         );
         let hill = scaled(hill, self.drive.light.ground[1]);
-        for x in 0..canvas.width {
-            let column = x as f32 + 0.5;
-            let azimuth = f64::from((column - self.projection.centre_x) / self.projection.focal_px)
-                + self.compass();
-            let hills_px = self.drive.surroundings.hills(azimuth) * self.projection.focal_px;
-            for y in 0..rows {
-                let above_px = self.projection.horizon_y - (y as f32 + 0.5);
-                let pixel = y * canvas.width + x;
-                canvas.light[pixel] = if above_px < hills_px {
-                    canvas.depth_m[pixel] = 1_500.0;
-                    hill
-                } else {
-                    self.sky_at(column, above_px.max(0.0) / self.projection.focal_px)
-                };
+        let azimuths = self.azimuths(0.5, canvas.width);
+        let compass = self.compass();
+        let hills_px: Vec<f32> = (0..canvas.width)
+            .map(|x| {
+                let ahead = (x as f32 + 0.5 - self.projection.centre_x) / self.projection.focal_px;
+                let hills = self.drive.surroundings.hills(f64::from(ahead) + compass);
+                hills * self.projection.focal_px
+            })
+            .collect();
+        let highest_px = hills_px.iter().copied().fold(0.0, f32::max);
+        let lights = canvas.light.chunks_exact_mut(canvas.width);
+        let depths_m = canvas.depth_m.chunks_exact_mut(canvas.width);
+        for (y, (light, depth_m)) in lights.zip(depths_m).take(rows).enumerate() {
+            let above_px = self.projection.horizon_y - (y as f32 + 0.5);
+            let elevation = above_px.max(0.0) / self.projection.focal_px;
+            Vectors::fastest().vectorised(
+                #[inline(always)]
+                || self.sky(&azimuths, elevation, light),
+            );
+            if above_px < highest_px {
+                for ((light, depth_m), &hills_px) in light.iter_mut().zip(depth_m).zip(&hills_px) {
+                    if above_px < hills_px {
+                        (*light, *depth_m) = (hill, 1_500.0);
+                    }
+                }
             }
         }
     }

@@ -2,7 +2,11 @@
 //!
 //! Only integer arithmetic and IEEE additions and products are used, so that results are equal bit for bit everywhere.
 
+/// Number of pixels of an image row whose noise is calculated at once, which fills the vectors of any processor.
+pub const BLOCK: usize = 32;
+
 /// Mixes a seed and a lattice point into 32 well mixed bits.
+#[inline(always)]
 pub fn hash(seed: u32, x: i32, y: i32) -> u32 {
     let mut h = seed
         ^ (x as u32).wrapping_mul(0x9E37_79B1)
@@ -15,6 +19,7 @@ pub fn hash(seed: u32, x: i32, y: i32) -> u32 {
 }
 
 /// Maps hashed bits to `[0, 1)`.
+#[inline(always)]
 pub fn unit(bits: u32) -> f32 {
     (bits >> 8) as f32 * (1.0 / 16_777_216.0)
 }
@@ -29,10 +34,12 @@ fn lattice(x: f64) -> (i32, f32) {
     (cell as i64 as i32, (x - cell) as f32)
 }
 
+#[inline(always)]
 fn smooth(t: f32) -> f32 {
     t * t * (3.0 - 2.0 * t)
 }
 
+#[inline(always)]
 fn mix(a: f32, b: f32, t: f32) -> f32 {
     a + (b - a) * t
 }
@@ -56,7 +63,7 @@ pub fn value_noise(seed: u32, x: f64, y: f64) -> f32 {
     NoiseRow::new(seed, x).at(y)
 }
 
-/// [`value_noise`] with the first coordinate fixed, for the pixels of one image row.
+/// [`value_noise`] with the first coordinate fixed.
 pub struct NoiseRow {
     seed: u32,
     cell: i32,
@@ -75,14 +82,92 @@ impl NoiseRow {
     }
 
     /// The noise at the second coordinate, `0..1`.
-    pub fn at(&self, y: f64) -> f32 {
+    fn at(&self, y: f64) -> f32 {
         let (cell, t) = lattice(y);
+        self.between(cell, smooth(t))
+    }
+
+    /// The noise of up to [`BLOCK`] pixels: `coordinate` maps a pixel to its second coordinate.
+    #[inline(always)]
+    pub fn block<T: Copy>(&self, pixels: &[T], coordinate: impl Fn(T) -> f64) -> [f32; BLOCK] {
+        block(
+            pixels,
+            coordinate,
+            #[inline(always)]
+            |cell, t| self.between(cell, t),
+        )
+    }
+
+    #[inline(always)]
+    fn between(&self, cell: i32, t: f32) -> f32 {
         let corner = |i, j| unit(hash(self.seed, i, j));
         let (next_row, next) = (self.cell.wrapping_add(1), cell.wrapping_add(1));
         let near = mix(corner(self.cell, cell), corner(next_row, cell), self.t);
         let far = mix(corner(self.cell, next), corner(next_row, next), self.t);
-        mix(near, far, smooth(t))
+        mix(near, far, t)
     }
+}
+
+/// [`value_noise`] with the second coordinate fixed.
+pub struct NoiseColumn {
+    seed: u32,
+    cell: i32,
+    t: f32,
+}
+
+impl NoiseColumn {
+    /// Fixes the second coordinate.
+    pub fn new(seed: u32, y: f64) -> Self {
+        let (cell, t) = lattice(y);
+        Self {
+            seed,
+            cell,
+            t: smooth(t),
+        }
+    }
+
+    /// The noise of up to [`BLOCK`] pixels: `coordinate` maps a pixel to its first coordinate.
+    #[inline(always)]
+    pub fn block<T: Copy>(&self, pixels: &[T], coordinate: impl Fn(T) -> f64) -> [f32; BLOCK] {
+        block(
+            pixels,
+            coordinate,
+            #[inline(always)]
+            |cell, t| self.between(cell, t),
+        )
+    }
+
+    #[inline(always)]
+    fn between(&self, cell: i32, t: f32) -> f32 {
+        let corner = |i, j| unit(hash(self.seed, i, j));
+        let (next_column, next) = (self.cell.wrapping_add(1), cell.wrapping_add(1));
+        let near = mix(corner(cell, self.cell), corner(next, self.cell), t);
+        let far = mix(corner(cell, next_column), corner(next, next_column), t);
+        mix(near, far, self.t)
+    }
+}
+
+/// Splits the coordinates of pixels into cells and smoothed places in them, and calculates the noise from these.
+/// Coordinates are far below 2^51.
+#[inline(always)]
+fn block<T: Copy>(
+    pixels: &[T],
+    coordinate: impl Fn(T) -> f64,
+    noise: impl Fn(i32, f32) -> f32,
+) -> [f32; BLOCK] {
+    let (mut cells, mut places) = ([0; BLOCK], [0.0; BLOCK]);
+    for ((cell, place), &pixel) in cells.iter_mut().zip(&mut places).zip(pixels) {
+        let at = coordinate(pixel);
+        let below = at.floor();
+        // The whole part is in the last bits of the sum. Unlike a cast, this can be done for several pixels at once.
+        *cell = (below + 1.5 / f64::EPSILON).to_bits() as i32;
+        *place = smooth((at - below) as f32);
+    }
+    let mut noises = [0.0; BLOCK];
+    for ((value, cell), place) in noises.iter_mut().zip(&cells).zip(&places) {
+        *value = noise(*cell, *place);
+    }
+    noises
 }
 
 /// Named random draws from one seed: a new draw does not change the others.

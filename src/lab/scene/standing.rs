@@ -2,9 +2,10 @@
 
 use super::canvas::{Canvas, Lamp};
 use super::light::{Colour, blended, scaled};
-use super::moment::{Moment, SNOW};
+use super::moment::Moment;
 use super::noise::value_noise;
 use super::surroundings::{ObjectKind, Rail, RoadsideObject};
+use super::textures::SNOW;
 use super::traffic::Vehicle;
 
 /// An object, with its distance beside it.
