@@ -147,6 +147,14 @@ impl NoiseColumn {
     }
 }
 
+/// The whole part of a number from 0 to 2^22. Unlike a cast, this can be done for several numbers at once.
+#[inline(always)]
+pub fn whole(number: f32) -> u32 {
+    // One step of the sum is 1, so the whole part is in its last bits.
+    let sum = number.floor() + 1.0 / f32::EPSILON;
+    sum.to_bits() & 0x003F_FFFF
+}
+
 /// Splits the coordinates of pixels into cells and smoothed places in them, and calculates the noise from these.
 /// Coordinates are far below 2^51.
 #[inline(always)]

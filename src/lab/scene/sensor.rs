@@ -8,8 +8,10 @@ use super::conditions::{
     Condition, ConditionKind, GLARE_VEIL, NIGHT_DAYLIGHT, NOISE_SIGMA, SNOW_VERGE, Severities,
     TUNNEL_LIGHT, graded, severities_at,
 };
-use super::noise::{Draws, hash};
+use super::light::Colour;
+use super::noise::{BLOCK, Draws, hash, whole};
 use super::world::{Look, World};
+use crate::model::vectors::Vectors;
 
 /// Time in which the exposure follows the light by 63 %, seconds; automotive sensors need some tenths of a second to
 /// one second.
@@ -100,28 +102,46 @@ impl Sensor {
         let dim = 1.0 - graded(NIGHT_DAYLIGHT, severities.of(ConditionKind::Night));
         let added = graded(NOISE_SIGMA, severities.of(ConditionKind::Noise)) + 7.0 * dim;
         let sigma = (added * added + self.noise * self.noise).sqrt();
-        let curve = srgb_curve();
         let (middle_x, middle_y) = (0.5 * canvas.width as f32, 0.5 * canvas.height as f32);
-        let plain = self.contrast <= 0.0 && self.vignette <= 0.0 && self.is_neutral();
-        for (i, (pixel, out)) in canvas.light.iter().zip(rgb.chunks_exact_mut(3)).enumerate() {
-            let pixel = if plain {
-                pixel.map(|light| light * gain)
-            } else {
-                let dx = ((i % canvas.width) as f32 - middle_x) / middle_x;
-                let dy = ((i / canvas.width) as f32 - middle_y) / middle_x;
-                self.graded(*pixel, gain * (1.0 - self.vignette * (dx * dx + dy * dy)))
-            };
-            for (channel, out) in out.iter_mut().enumerate() {
-                let at = pixel[channel].clamp(0.0, 1.0) * (CURVE_STEPS - 1) as f32;
-                let value = curve[at as usize];
-                *out = if sigma > 0.0 {
-                    (value + sigma * normal(hash(time_seed, i as i32, channel as i32)) + 0.5)
-                        .clamp(0.0, 255.0) as u8
-                } else {
-                    (value + 0.5) as u8
+        let rows = canvas.light.chunks_exact(canvas.width);
+        for (y, (light, rgb)) in rows.zip(rgb.chunks_exact_mut(3 * canvas.width)).enumerate() {
+            let dy = (y as f32 - middle_y) / middle_x;
+            let blocks = light.chunks(BLOCK).zip(rgb.chunks_mut(3 * BLOCK));
+            for (first, (light, rgb)) in (0..).step_by(BLOCK).zip(blocks) {
+                let corner = |n: usize| {
+                    let dx = ((first + n) as f32 - middle_x) / middle_x;
+                    dx * dx + dy * dy
                 };
+                Vectors::fastest().vectorised(
+                    #[inline(always)]
+                    || {
+                        let seen = self.seen(light, gain, corner);
+                        if sigma > 0.0 {
+                            let first = (y * canvas.width + first) as i32;
+                            digitise_noisily(&seen, sigma, (time_seed, first), rgb);
+                        } else {
+                            digitise(&seen, rgb);
+                        }
+                    },
+                );
             }
         }
+    }
+
+    /// Up to [`BLOCK`] pixels as the look shows them; `corner` is how much a pixel is in a corner of the picture.
+    #[inline(always)]
+    fn seen(&self, light: &[Colour], gain: f32, corner: impl Fn(usize) -> f32) -> [Colour; BLOCK] {
+        let mut seen = [[0.0; 3]; BLOCK];
+        if self.contrast <= 0.0 && self.vignette <= 0.0 && self.is_neutral() {
+            for (seen, light) in seen.iter_mut().zip(light) {
+                *seen = light.map(|light| light * gain);
+            }
+        } else {
+            for (n, (seen, light)) in seen.iter_mut().zip(light).enumerate() {
+                *seen = self.graded(*light, gain * (1.0 - self.vignette * corner(n)));
+            }
+        }
+        seen
     }
 
     fn is_neutral(&self) -> bool {
@@ -130,6 +150,7 @@ impl Sensor {
     }
 
     /// Cast, saturation and tone curve of one pixel.
+    #[inline(always)]
     fn graded(&self, pixel: [f32; 3], gain: f32) -> [f32; 3] {
         let light = [0, 1, 2].map(|c| (pixel[c] * self.cast[c] * gain).clamp(0.0, 1.0));
         // Luminance after ITU-R BT.709.
@@ -155,27 +176,77 @@ fn wanted_gain(severities: &Severities) -> f32 {
     1.25 / (light + 0.25)
 }
 
+/// Turns light into 8 bits.
+#[inline(always)]
+fn digitise(seen: &[Colour; BLOCK], rgb: &mut [u8]) {
+    let bytes = &srgb_curve().bytes;
+    for (out, step) in rgb.iter_mut().zip(&curve_steps(seen)) {
+        *out = bytes[*step as usize % CURVE_STEPS];
+    }
+}
+
+/// Turns light into 8 bits with noise of a standard deviation of `sigma`; `first` is the number of the first pixel.
+#[inline(always)]
+fn digitise_noisily(
+    seen: &[Colour; BLOCK],
+    sigma: f32,
+    (time_seed, first): (u32, i32),
+    rgb: &mut [u8],
+) {
+    let values = &srgb_curve().values;
+    let mut noises = [[0.0; 3]; BLOCK];
+    for (n, noises) in noises.iter_mut().enumerate() {
+        let pixel = first + n as i32;
+        *noises = [0, 1, 2].map(|channel| normal(hash(time_seed, pixel, channel)));
+    }
+    let noiseless = curve_steps(seen).map(|step| values[step as usize % CURVE_STEPS]);
+    let noises = noises.as_flattened();
+    for (out, (value, noise)) in rgb.iter_mut().zip(noiseless.iter().zip(noises)) {
+        *out = whole((value + sigma * noise + 0.5).clamp(0.0, 255.0)) as u8;
+    }
+}
+
 const CURVE_STEPS: usize = 8_192;
 
-/// The sRGB transfer curve (IEC 61966-2-1), 0..255.
-fn srgb_curve() -> &'static [f32] {
-    static CURVE: OnceLock<Vec<f32>> = OnceLock::new();
+/// Steps of the sRGB curve that light reaches.
+#[inline(always)]
+fn curve_steps(seen: &[Colour; BLOCK]) -> [u32; 3 * BLOCK] {
+    let mut steps = [0; 3 * BLOCK];
+    for (step, light) in steps.iter_mut().zip(seen.as_flattened()) {
+        *step = whole(light.clamp(0.0, 1.0) * (CURVE_STEPS - 1) as f32);
+    }
+    steps
+}
+
+/// The sRGB transfer curve (IEC 61966-2-1).
+struct Curve {
+    /// 0..255.
+    values: [f32; CURVE_STEPS],
+    /// The same, rounded.
+    bytes: [u8; CURVE_STEPS],
+}
+
+fn srgb_curve() -> &'static Curve {
+    static CURVE: OnceLock<Box<Curve>> = OnceLock::new();
     CURVE.get_or_init(|| {
-        (0..CURVE_STEPS)
-            .map(|i| {
-                let linear = i as f32 / (CURVE_STEPS - 1) as f32;
-                255.0
-                    * if linear <= 0.003_130_8 {
-                        12.92 * linear
-                    } else {
-                        1.055 * libm::powf(linear, 1.0 / 2.4) - 0.055
-                    }
-            })
-            .collect()
+        let values = std::array::from_fn(|i| {
+            let linear = i as f32 / (CURVE_STEPS - 1) as f32;
+            255.0
+                * if linear <= 0.003_130_8 {
+                    12.92 * linear
+                } else {
+                    1.055 * libm::powf(linear, 1.0 / 2.4) - 0.055
+                }
+        });
+        Box::new(Curve {
+            values,
+            bytes: values.map(|value| (value + 0.5) as u8),
+        })
     })
 }
 
 /// A nearly normal number from one hash: the sum of its four bytes, scaled to variance 1 (Irwin-Hall of order 4).
+#[inline(always)]
 fn normal(bits: u32) -> f32 {
     let sum: u32 = bits.to_le_bytes().iter().map(|&b| u32::from(b)).sum();
     (sum as f32 - 510.0) / 147.8
