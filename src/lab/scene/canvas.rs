@@ -23,6 +23,8 @@ pub struct Canvas {
     pub light: Vec<Colour>,
     /// `[H, W]`, distance in metres; infinite in the sky.
     pub depth_m: Vec<f32>,
+    /// `[H, W]`, what a step reads while it replaces the light.
+    pub spare: Vec<Colour>,
     /// Light sources.
     pub lamps: Vec<Lamp>,
 }
@@ -35,6 +37,7 @@ impl Canvas {
             height,
             light: vec![[0.0; 3]; width * height],
             depth_m: vec![f32::INFINITY; width * height],
+            spare: vec![[0.0; 3]; width * height],
             lamps: Vec::new(),
         }
     }

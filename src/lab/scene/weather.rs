@@ -8,6 +8,7 @@ use super::conditions::{
 use super::light::{Colour, blended, scaled};
 use super::noise::uniform;
 use super::projection::Projection;
+use crate::model::vectors::Vectors;
 
 /// Applies night, haze, rain and snow in the air; `clear` is the extinction of the air on that day, 1/m.
 pub fn apply(
@@ -56,18 +57,23 @@ pub fn apply(
 fn night(canvas: &mut Canvas, projection: &Projection, daylight: f32) {
     let dark = 1.0 - daylight;
     let tint: Colour = [1.0 - 0.25 * dark, 1.0 - 0.12 * dark, 1.0];
-    for (i, light) in canvas.light.iter_mut().enumerate() {
-        let z_m = canvas.depth_m[i];
-        let beam = if z_m < 60.0 {
-            let x_m = ((i % canvas.width) as f32 - projection.centre_x) * z_m / projection.focal_px;
-            let aside = (x_m / (2.2 + 0.16 * z_m)).abs().min(1.0);
-            let far = 1.0 - z_m / 60.0;
-            0.55 * dark * far * far * (1.0 - aside * aside)
-        } else {
-            0.0
-        };
-        *light = [0, 1, 2].map(|c| light[c] * (daylight * tint[c] + beam * [1.0, 0.95, 0.82][c]));
-    }
+    let lights = canvas.light.chunks_exact_mut(canvas.width);
+    Vectors::fastest().vectorised(
+        #[inline(always)]
+        || {
+            for (light, depth_m) in lights.zip(canvas.depth_m.chunks_exact(canvas.width)) {
+                for (x, (light, &z_m)) in light.iter_mut().zip(depth_m).enumerate() {
+                    let x_m = (x as f32 - projection.centre_x) * z_m / projection.focal_px;
+                    let aside = (x_m / (2.2 + 0.16 * z_m)).abs().min(1.0);
+                    let far = 1.0 - z_m / 60.0;
+                    let beam = 0.55 * dark * far * far * (1.0 - aside * aside);
+                    let beam = if z_m < 60.0 { beam } else { 0.0 };
+                    *light = [0, 1, 2]
+                        .map(|c| light[c] * (daylight * tint[c] + beam * [1.0, 0.95, 0.82][c]));
+                }
+            }
+        },
+    );
     for lamp in std::mem::take(&mut canvas.lamps) {
         let reach = (4.0 * lamp.radius_px).max(1.5);
         for y in span(lamp.at.1, reach, canvas.height) {
@@ -89,18 +95,28 @@ pub(super) fn span(middle: f32, reach: f32, limit: usize) -> std::ops::Range<usi
 
 /// Scatters towards `air` with distance (Koschmieder); the sky is seen through a layer 70 m high.
 fn haze(canvas: &mut Canvas, projection: &Projection, extinction: f32, air: Colour) {
-    for y in 0..canvas.height {
+    let mut kept = vec![0.0; canvas.width];
+    let depths_m = canvas.depth_m.chunks_exact(canvas.width);
+    let lights = canvas.light.chunks_exact_mut(canvas.width);
+    for (y, (light, depth_m)) in lights.zip(depths_m).enumerate() {
         let elevation = ((projection.horizon_y - y as f32) / projection.focal_px).max(0.03);
-        let sky_depth_m = 70.0 / elevation;
-        let (mut last_depth, mut kept) = (f32::NAN, 1.0);
-        for x in 0..canvas.width {
-            let pixel = y * canvas.width + x;
-            let depth = canvas.depth_m[pixel].min(sky_depth_m.max(300.0));
+        let sky_depth_m = (70.0 / elevation).max(300.0);
+        let (mut last_depth, mut last_kept) = (f32::NAN, 1.0);
+        for (kept, depth_m) in kept.iter_mut().zip(depth_m) {
+            let depth = depth_m.min(sky_depth_m);
             if depth.total_cmp(&last_depth).is_ne() {
-                (last_depth, kept) = (depth, libm::expf(-extinction * depth));
+                (last_depth, last_kept) = (depth, libm::expf(-extinction * depth));
             }
-            canvas.light[pixel] = blended(air, canvas.light[pixel], kept);
+            *kept = last_kept;
         }
+        Vectors::fastest().vectorised(
+            #[inline(always)]
+            || {
+                for (light, kept) in light.iter_mut().zip(&kept) {
+                    *light = blended(air, *light, *kept);
+                }
+            },
+        );
     }
 }
 
