@@ -113,11 +113,16 @@ impl Tunnel {
             return;
         };
         let outside = self.ends_m.0 > 1.0;
+        let view = View::new(&sections, canvas.width);
         for y in 0..canvas.height {
+            let row = y as f32 + 0.5;
+            let below_ceilings = view.below_ceilings(row);
+            let mut lit = (f32::NAN, [1.0; 3]);
             for x in 0..canvas.width {
-                let at = (x as f32 + 0.5, y as f32 + 0.5);
+                let at = (x as f32 + 0.5, row);
                 let pixel = y * canvas.width + x;
-                if outside && !first.holds(at) {
+                let beyond = view.between_walls[x].min(below_ceilings);
+                if outside && beyond == 0 {
                     let face_top = first.foot - (first.foot - first.top) * PORTAL_M / CEILING_M;
                     let beside = 1.5 * (first.right - first.left);
                     if at.1 < first.foot
@@ -134,15 +139,17 @@ impl Tunnel {
                 }
                 // What is nearer than the wall stays visible, in the light of the tunnel.
                 let depth_m = canvas.depth_m[pixel];
-                match met(&sections, at) {
+                match met(&sections, beyond, at) {
                     Some(section) if section.z_m < depth_m => {
                         canvas.light[pixel] = self.lining(&section, at, projection);
                         canvas.depth_m[pixel] = section.z_m;
                         mask[pixel] = 0;
                     }
                     _ => {
-                        let light = self.light_at(depth_m);
-                        canvas.light[pixel] = [0, 1, 2].map(|c| canvas.light[pixel][c] * light[c]);
+                        if depth_m.total_cmp(&lit.0).is_ne() {
+                            lit = (depth_m, self.light_at(depth_m));
+                        }
+                        canvas.light[pixel] = [0, 1, 2].map(|c| canvas.light[pixel][c] * lit.1[c]);
                     }
                 }
             }
@@ -172,14 +179,51 @@ impl Tunnel {
     }
 }
 
-/// Where a ray through `at` leaves the tunnel; `None` if it does not leave it before the last section.
-fn met(sections: &[Section], at: (f32, f32)) -> Option<Section> {
-    let beyond = sections.iter().position(|section| !section.holds(at))?;
-    let (far, Some(near)) = (
-        &sections[beyond],
-        beyond.checked_sub(1).map(|i| &sections[i]),
-    ) else {
-        return Some(sections[beyond]);
+/// How far the tunnel can be seen through: the number of sections before the first one that does not hold a ray.
+struct View {
+    /// For each column of the picture, as far as walls are concerned.
+    between_walls: Vec<usize>,
+    /// The lowest ceiling up to each section, pixels.
+    ceilings: Vec<f32>,
+}
+
+impl View {
+    fn new(sections: &[Section], width: usize) -> Self {
+        let so_far = |edge: fn(&Section) -> f32, nearest: fn(f32, f32) -> f32| -> Vec<f32> {
+            let edges = sections.iter().map(edge);
+            edges
+                .scan(None, |last, edge| {
+                    let nearest = last.map_or(edge, |last| nearest(last, edge));
+                    *last = Some(nearest);
+                    Some(nearest)
+                })
+                .collect()
+        };
+        let (left, right) = (so_far(|s| s.left, f32::max), so_far(|s| s.right, f32::min));
+        let columns = (0..width).map(|x| x as f32 + 0.5);
+        Self {
+            between_walls: columns
+                .map(|x| {
+                    let left = left.partition_point(|&left| x >= left);
+                    left.min(right.partition_point(|&right| x <= right))
+                })
+                .collect(),
+            ceilings: so_far(|s| s.top, f32::max),
+        }
+    }
+
+    /// The number for a row of the picture, as far as ceilings are concerned.
+    fn below_ceilings(&self, row: f32) -> usize {
+        self.ceilings.partition_point(|&top| row >= top)
+    }
+}
+
+/// Where a ray through `at` leaves the tunnel, which is before the section `beyond`; `None` if it does not leave it
+/// before the last section.
+fn met(sections: &[Section], beyond: usize, at: (f32, f32)) -> Option<Section> {
+    let far = sections.get(beyond)?;
+    let Some(near) = beyond.checked_sub(1).map(|i| &sections[i]) else {
+        return Some(*far);
     };
     // Outlines are straight between two sections. This finds where the first of their edges crosses the ray.
     let crossing = |edge: fn(&Section) -> f32, at: f32, outside: bool| {
@@ -217,10 +261,5 @@ impl Section {
             top: at(self.top, far.top),
             foot: at(self.foot, far.foot),
         }
-    }
-
-    /// Whether a ray through `at` is still between the walls and below the ceiling here.
-    fn holds(&self, at: (f32, f32)) -> bool {
-        at.0 >= self.left && at.0 <= self.right && at.1 >= self.top
     }
 }
