@@ -209,6 +209,7 @@ impl Draws {
 
 #[cfg(test)]
 mod tests {
+    #![allow(clippy::float_cmp)]
     use super::*;
 
     #[test]
@@ -220,6 +221,37 @@ mod tests {
             assert!((here - value_noise(7, x + 1e-6, 0.3 * x)).abs() < 1e-4);
             assert!((linear_noise(3, x) - linear_noise(3, x + 1e-6)).abs() < 1e-4);
         }
+    }
+
+    #[test]
+    fn a_block_of_pixels_has_the_noise_of_each_pixel_to_the_bit() {
+        for i in 0..300 {
+            let (across, along) = (f64::from(i) * 0.77 - 90.0, f64::from(i - 150) * 3.1);
+            let pixels: [f64; BLOCK] = std::array::from_fn(|n| along + f64::from(n as u32) * 0.13);
+            let (row, column) = (NoiseRow::new(5, across), NoiseColumn::new(5, across));
+            for vectors in crate::model::vectors::Vectors::available() {
+                let (mut of_row, mut of_column) = ([0.0; BLOCK], [0.0; BLOCK]);
+                vectors.vectorised(
+                    #[inline(always)]
+                    || of_row = row.block(&pixels, |at| at),
+                );
+                vectors.vectorised(
+                    #[inline(always)]
+                    || of_column = column.block(&pixels, |at| at),
+                );
+                assert_eq!(of_row, pixels.map(|at| value_noise(5, across, at)));
+                assert_eq!(of_column, pixels.map(|at| value_noise(5, at, across)));
+            }
+        }
+    }
+
+    #[test]
+    fn the_whole_part_is_that_of_a_cast() {
+        for i in 0..1_000_000 {
+            let number = 0.013 * i as f32;
+            assert_eq!(whole(number), number as u32, "{number}");
+        }
+        assert_eq!(whole(-0.0), 0);
     }
 
     #[test]
