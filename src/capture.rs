@@ -46,5 +46,7 @@ pub use frame::{Frame, FrameSource, Place, SourceError, time_of};
 pub use images::FOLDER_FPS;
 pub use names::{camera_of, drives, ranges, sort_drives, stamp, template};
 pub use picture::{PIXELS_MAX, Picture, PictureError};
-pub use sources::{BUILT_IN_DRIVE, camera_facts, open, open_camera, register_scenes};
+pub use sources::{
+    BUILT_IN_DRIVE, camera_facts, open, open_camera, register_overlay, register_scenes,
+};
 pub use wish::{CAMERA_FORMATS, CameraFacts, CameraWish};

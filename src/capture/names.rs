@@ -26,7 +26,12 @@ pub struct FileName<'a> {
     pub path: &'a Path,
     pub fps: Option<f64>,
     pub topic: Option<&'a str>,
+    /// Options of the conditions that are rendered over the pictures.
+    pub overlay: Vec<&'a str>,
 }
+
+/// The options.
+const OPTIONS: [&str; 4] = ["fps=", "topic=", "condition=", "seed="];
 
 /// The sources of this build, for messages.
 pub const SOURCES_WANTED: &str = if cfg!(feature = "lab") {
@@ -35,8 +40,8 @@ pub const SOURCES_WANTED: &str = if cfg!(feature = "lab") {
     "wanted random:…, a folder, an image or a video"
 };
 
-/// Splits `PATH?fps=N` or `PATH?topic=NAME`; a path that exists as typed is not split. Refuses what cannot be a file:
-/// an empty name, and cameras.
+/// Splits `PATH?OPTION&OPTION`; a path that exists as typed is not split. Refuses what cannot be a file: an empty name,
+/// and cameras.
 pub fn file_name(name: &str) -> Result<FileName<'_>, SourceError> {
     let camera = camera_of(name).or_else(|| name.starts_with("v4l2:").then(|| name.to_owned()));
     if camera.is_some() || name.is_empty() {
@@ -50,28 +55,46 @@ pub fn file_name(name: &str) -> Result<FileName<'_>, SourceError> {
             wanted: camera.map_or_else(|| SOURCES_WANTED.to_owned(), watched),
         });
     }
-    let (mut path, mut fps, mut topic) = (name, None, None);
-    if !Path::new(name).exists() {
-        if let Some((before, number)) = name.rsplit_once("?fps=") {
-            let number = number
-                .parse()
-                .ok()
-                .filter(|fps| (0.1..=240.0).contains(fps));
-            fps = Some(number.ok_or_else(|| SourceError::Name {
-                found: name.to_owned(),
-                wanted: "wanted ?fps= from 0.1 to 240".to_owned(),
-            })?);
-            path = before;
-        } else if let Some((before, wanted)) = name.split_once("?topic=") {
-            topic = Some(wanted);
-            path = before;
+    let wrong = |wanted: &str| SourceError::Name {
+        found: name.to_owned(),
+        wanted: wanted.to_owned(),
+    };
+    let (path, options) = if Path::new(name).exists() {
+        (name, None)
+    } else {
+        split_options(name)
+    };
+    let mut file = FileName {
+        path: Path::new(path),
+        fps: None,
+        topic: None,
+        overlay: vec![],
+    };
+    for option in options.into_iter().flat_map(|options| options.split('&')) {
+        match option.split_once('=') {
+            Some(("fps", number)) => {
+                let number = number.parse().ok();
+                let number = number.filter(|fps| (0.1..=240.0).contains(fps));
+                file.fps = Some(number.ok_or_else(|| wrong("wanted ?fps= from 0.1 to 240"))?);
+            }
+            Some(("topic", topic)) => file.topic = Some(topic),
+            Some(("condition" | "seed", _)) => file.overlay.push(option),
+            _ => {
+                return Err(wrong(
+                    "wanted fps=, topic=, condition= or seed=, with & between them",
+                ));
+            }
         }
     }
-    Ok(FileName {
-        path: Path::new(path),
-        fps,
-        topic,
-    })
+    Ok(file)
+}
+
+/// The path, and what follows the first `?` that begins an option.
+fn split_options(name: &str) -> (&str, Option<&str>) {
+    name.match_indices('?')
+        .map(|(at, _)| (&name[..at], &name[at + 1..]))
+        .find(|(_, rest)| OPTIONS.iter().any(|option| rest.starts_with(option)))
+        .map_or((name, None), |(path, options)| (path, Some(options)))
 }
 
 /// The drives that a name means: one drive, or one for each seed of `scene:…seed=A..B…`, with both ends.

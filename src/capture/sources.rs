@@ -25,6 +25,16 @@ pub fn register_scenes(open: OpenScene) {
     let _ = SCENES.set(open);
 }
 
+/// Renders conditions over the pictures of a source, from the options after its name.
+type LayOver = fn(Box<dyn FrameSource>, &[&str]) -> Result<Box<dyn FrameSource>, SourceError>;
+
+static OVERLAY: OnceLock<LayOver> = OnceLock::new();
+
+/// Registers the function with which [`open`] renders conditions over pictures. Only the first registration counts.
+pub fn register_overlay(lay_over: LayOver) {
+    let _ = OVERLAY.set(lay_over);
+}
+
 /// Opens what a board names as its camera: `v4l2:/dev/videoN`, which is asked for `wish` and returns at most one frame
 /// every `period`, or any other source.
 ///
@@ -88,7 +98,24 @@ pub fn open(name: &str) -> Result<Box<dyn FrameSource>, SourceError> {
     if let Some(spec) = name.strip_prefix("random:") {
         return Ok(Box::new(random::RandomSource::parse(name, spec)?));
     }
-    let FileName { path, fps, topic } = file_name(name)?;
+    let file = file_name(name)?;
+    let source = open_file(name, &file)?;
+    if file.overlay.is_empty() {
+        return Ok(source);
+    }
+    let Some(lay_over) = OVERLAY.get() else {
+        return Err(SourceError::Name {
+            found: name.to_owned(),
+            wanted: "this build renders no conditions (build with --features lab)".to_owned(),
+        });
+    };
+    lay_over(source, &file.overlay)
+}
+
+fn open_file(name: &str, file: &FileName<'_>) -> Result<Box<dyn FrameSource>, SourceError> {
+    let &FileName {
+        path, fps, topic, ..
+    } = file;
     if path.is_dir() && topic.is_none() {
         return Ok(Box::new(images::ImageSource::folder(
             path,

@@ -21,6 +21,7 @@ mod light;
 mod markings;
 mod moment;
 mod noise;
+mod overlay;
 mod projection;
 mod render;
 mod road;
@@ -37,6 +38,7 @@ mod world;
 
 pub use conditions::{Condition, ConditionError, ConditionKind, RAMP_S, Severities, severities_at};
 pub use drive::Drive;
+pub use overlay::lay_over;
 pub use render::{Labelled, Renderer};
 pub use source::open;
 pub use spec::{DriveSpec, SpecError};

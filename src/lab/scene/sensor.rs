@@ -245,6 +245,22 @@ fn srgb_curve() -> &'static Curve {
     })
 }
 
+/// The linear light that becomes this byte of sRGB, 0..1.
+pub fn light_of(byte: u8) -> f32 {
+    static LIGHTS: OnceLock<Vec<f32>> = OnceLock::new();
+    let lights = LIGHTS.get_or_init(|| {
+        let curve = srgb_curve();
+        (0..=255_u8)
+            .map(|byte| {
+                let first = curve.partition_point(|&value| value + 0.5 < f32::from(byte));
+                let end = curve.partition_point(|&value| value + 0.5 < f32::from(byte) + 1.0);
+                (0.5 * (first + end) as f32) / (CURVE_STEPS - 1) as f32
+            })
+            .collect()
+    });
+    lights[usize::from(byte)]
+}
+
 /// A nearly normal number from one hash: the sum of its four bytes, scaled to variance 1 (Irwin-Hall of order 4).
 #[inline(always)]
 fn normal(bits: u32) -> f32 {
