@@ -21,7 +21,9 @@ pub const SOURCES: &str = "Sources (put them in quotes, because shells interpret
       one image, or a video (through ffmpeg)
   FILE.mcap[?topic=/camera]
       recording with images of ROS 2 or Foxglove: the topic that ?topic= names, or its only topic
-      with images";
+      with images
+  DIR or FILE and ?condition=fog:3@20-40
+      the same under a rendered condition (DIR?fps=10&condition=...)";
 
 /// How sources are named, for the help of every command that takes a source.
 #[cfg(not(feature = "lab"))]
