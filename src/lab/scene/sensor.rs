@@ -249,7 +249,7 @@ fn srgb_curve() -> &'static Curve {
 pub fn light_of(byte: u8) -> f32 {
     static LIGHTS: OnceLock<Vec<f32>> = OnceLock::new();
     let lights = LIGHTS.get_or_init(|| {
-        let curve = srgb_curve();
+        let curve = &srgb_curve().values;
         (0..=255_u8)
             .map(|byte| {
                 let first = curve.partition_point(|&value| value + 0.5 < f32::from(byte));
