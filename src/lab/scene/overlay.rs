@@ -73,7 +73,9 @@ impl FrameSource for Overlay {
             picture: frame.picture.map(|pixels| {
                 let t_s = frame.captured_at.as_secs_f64();
                 let severities = severities_at(&self.conditions, t_s);
-                if severities == Severities::default() {
+                let layout = pixels.layout();
+                let is_empty = layout.width == 0 || layout.height == 0;
+                if is_empty || severities == Severities::default() {
                     pixels
                 } else {
                     Pixels::from(self.render(pixels.picture(), &severities, t_s))
@@ -172,6 +174,39 @@ mod tests {
     fn open_drive() -> Box<dyn FrameSource> {
         crate::lab::register();
         open("scene:sim?seed=3&seconds=6&fps=1&size=160x80").unwrap()
+    }
+
+    struct Empty(Option<Frame>);
+
+    impl FrameSource for Empty {
+        fn next_frame(&mut self) -> Result<Option<Frame>, SourceError> {
+            Ok(self.0.take())
+        }
+
+        fn frame_count(&self) -> Option<u64> {
+            None
+        }
+    }
+
+    #[test]
+    fn an_empty_picture_stays_empty() {
+        for kind in ConditionKind::ALL.map(ConditionKind::name) {
+            if kind == ConditionKind::Tunnel.name() {
+                continue;
+            }
+            let source = Empty(Some(Frame {
+                sequence: 0,
+                captured_at: std::time::Duration::ZERO,
+                picture: Ok(Pixels::from(Picture {
+                    width: 0,
+                    height: 0,
+                    rgb: vec![],
+                })),
+            }));
+            let mut source = lay_over(Box::new(source), &[&format!("condition={kind}:4")]).unwrap();
+            let frame = source.next_frame().unwrap().unwrap();
+            assert!(frame.picture.unwrap().picture().rgb.is_empty(), "{kind}");
+        }
     }
 
     fn difference(a: &[u8], b: &[u8]) -> f64 {
