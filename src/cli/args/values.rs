@@ -7,34 +7,41 @@ use std::str::FromStr;
 use clap::ValueEnum;
 use gapwatch::reference::{WINDOW_S_MAX, WINDOW_S_MIN};
 
-/// How sources are named, for the help of every command that takes a source.
-#[cfg(feature = "lab")]
-pub const SOURCES: &str = "Sources (put them in quotes, because shells interpret ? and &):
-  scene:sim[?seed=7&seconds=60&fps=10&condition=fog:3@20-40]
-      rendered drive; the fog has severity 3 at 20 s and is gone at 40 s;
-      also size=WxH, without=ELEMENT, and the looks sim-realistic and game
-  random:[seed=1&frames=60]
+/// Sources of every build, for the help.
+macro_rules! sources {
+    ($before:literal, $after:literal) => {
+        concat!(
+            "Sources (put them in quotes, because shells interpret ? and &):\n",
+            $before,
+            "  random:[seed=1&frames=60]
       random pixels
   DIR[?fps=10]
       folder of PNG or JPEG images in the order of their names, 10 a second unless ?fps= is given
   FILE
-      one image, or a video (through ffmpeg)
-  FILE.mcap[?topic=/camera]
+      one image, or a video (through ffmpeg)\n",
+            $after
+        )
+    };
+}
+
+/// How sources are named, for the help of every command that takes a source.
+#[cfg(feature = "lab")]
+pub const SOURCES: &str = sources!(
+    "  scene:sim[?seed=7&seconds=60&fps=10&condition=fog:3@20-40]
+      rendered drive; the fog has severity 3 at 20 s and is gone at 40 s;
+      also size=WxH, without=ELEMENT, and the looks sim-realistic and game\n",
+    "  FILE.mcap[?topic=/camera]
       recording with images of ROS 2 or Foxglove: the topic that ?topic= names, or its only topic
       with images
   DIR or FILE and ?condition=fog:3@20-40
-      the same under a rendered condition (DIR?fps=10&condition=...)";
-
-/// How sources are named, for the help of every command that takes a source.
+      the same under a rendered condition (DIR?fps=10&condition=...)"
+);
+/// The same, of the car's program.
 #[cfg(not(feature = "lab"))]
-pub const SOURCES: &str = "Sources (put them in quotes, because shells interpret ? and &):
-  random:[seed=1&frames=60]
-      random pixels
-  DIR[?fps=10]
-      folder of PNG or JPEG images in the order of their names, 10 a second unless ?fps= is given
-  FILE
-      one image, or a video (through ffmpeg)
-This build has no rendered drives (scene:) and reads no MCAP recordings; a build with --features lab does.";
+pub const SOURCES: &str = sources!(
+    "",
+    "This build has no rendered drives (scene:) and reads no MCAP recordings; a build with --features lab does."
+);
 
 /// How a measurement is written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
