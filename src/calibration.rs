@@ -13,7 +13,10 @@ mod windows;
 
 mod stretch;
 
+mod timed;
+
 mod fitting;
+mod spans;
 
 mod calibrate;
 

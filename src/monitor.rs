@@ -28,6 +28,10 @@ pub mod extraction;
 pub mod profile;
 
 pub mod continuity;
+pub mod cusum;
+pub mod history;
+pub mod span_watch;
+
 pub mod detector;
 pub mod scorer;
 

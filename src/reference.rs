@@ -13,9 +13,13 @@
 pub mod gap;
 
 mod nominal;
+mod rate;
+mod span;
 
 mod file;
 mod pretty;
 
 pub use file::*;
 pub use nominal::*;
+pub use rate::*;
+pub use span::*;

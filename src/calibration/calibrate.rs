@@ -2,14 +2,18 @@
 
 use super::drive::{LabelledDrive, SurveyedDrive};
 use super::error::{CalibrationError, wrong};
-use super::false_alarms;
-use super::fitting::Fitting;
+use super::false_alarms::{self, DriveScores};
+use super::fitting::{Fitting, epsilons_of};
+use super::spans;
 use super::stretch::{Split, Stretch, look_at_all, split};
 use super::target::Target;
+use super::timed::TimedMoments;
 use crate::capture::undefined::Undefined;
 use crate::reference::gap::Metric;
 use crate::reference::gap::moments::Moments;
-use crate::reference::{Component, FalseAlarms, Role, SPREAD_MIN, ScalePoint, SourceUse};
+use crate::reference::{
+    Component, FalseAlarms, JudgedRate, Role, SPREAD_MIN, ScalePoint, SourceUse,
+};
 use crate::statistics::quantile::{median, quantile};
 
 /// Window lengths, frames, for which medians and thresholds are kept.
@@ -36,6 +40,8 @@ pub struct Calibrated {
     pub false_alarms: FalseAlarms,
     /// The sources that were used.
     pub sources: Vec<SourceUse>,
+    /// How often the road was judged.
+    pub rate: JudgedRate,
 }
 
 /// How often [`calibrate`] looks at drives in total, counting each drive each time.
@@ -43,10 +49,10 @@ pub fn looks<D: SurveyedDrive, L: LabelledDrive>(
     domains: &[Domain<'_, D>],
     held_out: &[D],
     labelled: &[L],
-    metric: Metric,
+    wanted: Target,
 ) -> u64 {
     // Peaks, then masses and counts for histograms, or moments.
-    let of_fitted = match metric {
+    let of_fitted = match wanted.metric {
         Metric::LogEnergy(_) => 3,
         _ => 2,
     };
@@ -60,7 +66,9 @@ pub fn looks<D: SurveyedDrive, L: LabelledDrive>(
     } else {
         held_out.len()
     };
-    (of_fitted * fitted + scaled + scored + labelled.len()) as u64
+    // With spans, drives are scaled and scored twice; whether there will be spans is known later.
+    let times = if wanted.is_timed() { 2 } else { 1 };
+    (of_fitted * fitted + times * (scaled + scored) + labelled.len()) as u64
 }
 
 /// Makes the nominal domains of a reference and the thresholds that keep the wanted rate of false alarms.
@@ -85,7 +93,7 @@ pub fn calibrate<D: SurveyedDrive, L: LabelledDrive>(
     let mut sources = Vec::new();
     let mut components: Vec<Component> = Vec::new();
     let mut scaling: Vec<Stretch<'_, D>> = Vec::new();
-    let mut simulation: Option<Vec<Moments>> = None;
+    let mut simulation: Option<Learnt> = None;
     for (index, domain) in domains.iter().enumerate() {
         let splits = split(domain.drives);
         sources.extend(splits.iter().map(|split| SourceUse {
@@ -113,18 +121,23 @@ pub fn calibrate<D: SurveyedDrive, L: LabelledDrive>(
             taps,
             metric: wanted.metric,
         };
+        let (mut timed, mut epsilons_in_use) = (None, Vec::new());
         let taps = match wanted.metric.divergence() {
             Some(_) => fitting.histograms()?,
             None => {
-                let (peaks, moments) = fitting.moments(components.first())?;
+                let peaks = fitting.median_peaks()?;
+                let epsilons = epsilons_of(&peaks, components.first());
+                let learnt = Learnt::of(&fitting, epsilons, wanted)?;
                 let taps = fitting.energies(
                     &peaks,
-                    &moments,
-                    simulation.as_deref(),
-                    components.first(),
+                    &learnt.epsilons,
+                    &learnt.moments,
+                    simulation.as_ref().map(|of| of.moments.as_slice()),
                     labelled,
                 )?;
-                simulation.get_or_insert(moments);
+                timed = learnt.timed.clone();
+                epsilons_in_use.clone_from(&learnt.epsilons);
+                simulation.get_or_insert(learnt);
                 taps
             }
         };
@@ -132,7 +145,18 @@ pub fn calibrate<D: SurveyedDrive, L: LabelledDrive>(
             name: domain.name.clone(),
             taps,
         };
+        let of_simulation = (index > 0)
+            .then(|| simulation.as_ref().and_then(|of| of.timed.as_ref()))
+            .flatten();
+        let timed = match components.first() {
+            None => timed.filter(spans::are_long_enough),
+            Some(first) => timed.filter(|_| first.spans() > 0),
+        };
         scale(&mut component, &scaled, wanted)?;
+        if let Some(timed) = timed {
+            spans::fit(&mut component, &epsilons_in_use, &timed, of_simulation)?;
+            spans::scale(&mut component, &scaled, components.first())?;
+        }
         components.push(component);
         scaling.extend(scaled);
     }
@@ -151,21 +175,63 @@ pub fn calibrate<D: SurveyedDrive, L: LabelledDrive>(
         });
         scaling = whole.collect();
     }
-    let drives = look_at_all(&scaling, |part| part.scores(wanted, &components))?;
-    let false_alarms = false_alarms::calibrated(&drives, wanted.false_alarms_per_hour, optimistic);
-    for tap in components
-        .iter_mut()
-        .flat_map(|component| &mut component.taps)
-    {
-        for point in &mut tap.scale {
-            point.threshold = point.median + false_alarms.factor * (point.threshold - point.median);
+    let spans = components.first().map_or(0, Component::spans);
+    if spans > 0 {
+        // Every part of the evidence has the same share of the false alarms.
+        let of_parts = look_at_all(&scaling, |part| part.scores_of_parts(wanted, &components))?;
+        #[allow(clippy::cast_precision_loss)]
+        let share = wanted.false_alarms_per_hour / (1 + spans) as f64;
+        for part in 0..=spans {
+            let drives: Vec<DriveScores> = of_parts.iter().map(|of| of[part].clone()).collect();
+            let factor = false_alarms::factor(&drives, share, optimistic);
+            let taps = components.iter_mut().flat_map(|of| &mut of.taps);
+            taps.for_each(|tap| tap.widen(part, factor));
         }
     }
+    let drives = look_at_all(&scaling, |part| part.scores(wanted, &components))?;
+    let false_alarms = false_alarms::calibrated(&drives, wanted.false_alarms_per_hour, optimistic);
+    let taps = components.iter_mut().flat_map(|of| &mut of.taps);
+    for tap in taps {
+        (0..=spans).for_each(|part| tap.widen(part, false_alarms.factor));
+    }
+    let frames_hz = drives.iter().filter_map(DriveScores::rate_hz);
+    let judged_hz = median(frames_hz.collect()).unwrap_or(wanted.rate.rate_hz);
     Ok(Calibrated {
         components,
         false_alarms,
         sources,
+        rate: wanted.rate.at_most(judged_hz),
     })
+}
+
+/// What was learnt of a domain.
+struct Learnt {
+    epsilons: Vec<f64>,
+    /// Of windows if there are timed moments, else of frames.
+    moments: Vec<Moments>,
+    timed: Option<TimedMoments>,
+}
+
+impl Learnt {
+    fn of<D: SurveyedDrive>(
+        fitting: &Fitting<'_, D>,
+        epsilons: Vec<f64>,
+        wanted: Target,
+    ) -> Result<Self, CalibrationError> {
+        let timed = wanted
+            .is_timed()
+            .then(|| fitting.timed_moments(&epsilons, wanted.window_s));
+        let timed = timed.transpose()?;
+        let moments = match &timed {
+            Some(timed) => timed.window.clone(),
+            None => fitting.frame_moments(&epsilons)?,
+        };
+        Ok(Self {
+            epsilons,
+            moments,
+            timed,
+        })
+    }
 }
 
 /// Scales the gaps of a domain with the gaps of windows of its own drives.
@@ -231,6 +297,7 @@ mod tests {
     use crate::calibration::drive::{LabelledMeans, StoreError};
     use crate::calibration::survey::{Survey, SurveyFrame};
     use crate::features::energies::BlockMeans;
+    use crate::reference::EvidenceKind;
     use crate::reference::gap::Divergence;
 
     const LOG_ENERGY: Metric = Metric::LogEnergy(Divergence::JensenShannon);
@@ -288,13 +355,12 @@ mod tests {
                     drives: &drives,
                 };
                 let wanted = Target {
-                    metric,
-                    window_s: 1.0,
-                    false_alarms_per_hour: 1.0,
+                    evidence: EvidenceKind::Frames,
+                    ..Target::new(metric, 1.0, 1.0)
                 };
                 let domains = [domain];
                 let none: &[LabelledMeans] = &[];
-                let predicted = looks(&domains, &held_out, none, metric);
+                let predicted = looks(&domains, &held_out, none, wanted);
                 calibrate(&domains, &held_out, none, &["e2".to_owned()], wanted).unwrap();
                 let all = drives.iter().chain(&held_out);
                 let looked: u64 = all

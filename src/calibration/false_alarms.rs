@@ -5,8 +5,10 @@
 
 use std::time::Duration;
 
+use crate::capture::undefined::Undefined;
 use crate::monitor::alarm::{Alarm, AlarmState, Judgement, Reason};
-use crate::monitor::detector::{Cusum, judgement};
+use crate::monitor::cusum::Cusum;
+use crate::monitor::detector::{Evidence, judgement};
 use crate::reference::{FalseAlarms, NominalDrives, RateFactor};
 use crate::statistics::bootstrap;
 use crate::statistics::event_rate::poisson_interval;
@@ -36,33 +38,75 @@ const RATES_PER_HOUR: [f64; 3] = [10.0, 1.0, 0.1];
 /// A drive's scores, frame by frame, with which the rest of the chain can be run at other thresholds.
 #[derive(Clone, Debug, Default)]
 pub struct DriveScores {
-    frames: Vec<(Duration, Judgement)>,
+    frames: Vec<(Duration, Scored)>,
+}
+
+/// The scores of a frame, or why it has none.
+#[derive(Clone, Copy, Debug)]
+enum Scored {
+    Known {
+        gap: f64,
+        change: Option<f64>,
+        settled: bool,
+    },
+    Cannot(Reason),
 }
 
 impl DriveScores {
     /// Adds a frame: its time, its score, and whether a whole window has been seen.
     pub fn add(&mut self, at: Duration, score: f64, settled: bool) {
-        self.frames.push((at, Judgement::Score { score, settled }));
+        self.add_with_change(at, score, None, settled);
+    }
+
+    /// Adds a frame with its two scores: how far the road is from what is nominal, and from its own past.
+    pub fn add_with_change(&mut self, at: Duration, gap: f64, change: Option<f64>, settled: bool) {
+        self.frames.push((
+            at,
+            Scored::Known {
+                gap,
+                change,
+                settled,
+            },
+        ));
+    }
+
+    /// Adds what is known after a frame.
+    pub fn add_evidence(&mut self, at: Duration, evidence: &Result<Evidence, Undefined>) {
+        match evidence {
+            Ok(of) => self.add_with_change(at, of.gap, of.change, of.fill >= 1.0),
+            Err(why) => self.add_unjudged(at, Reason::from(why)),
+        }
     }
 
     /// Adds a frame that cannot be judged.
     pub fn add_unjudged(&mut self, at: Duration, reason: Reason) {
-        self.frames.push((at, Judgement::Cannot(reason)));
+        self.frames.push((at, Scored::Cannot(reason)));
     }
 
-    /// Every frame's score; `None` for a frame that could not be judged.
+    /// Every frame's largest score; `None` for a frame that could not be judged.
     pub fn scores(&self) -> impl Iterator<Item = (Duration, Option<f64>)> + '_ {
         self.frames.iter().map(|&(at, seen)| match seen {
-            Judgement::Score { score, .. } => (at, Some(score)),
-            _ => (at, None),
+            Scored::Known { gap, change, .. } => (at, Some(change.map_or(gap, |of| of.max(gap)))),
+            Scored::Cannot(_) => (at, None),
         })
+    }
+
+    /// Frames a second, from the median time between frames; `None` without two frames.
+    pub fn rate_hz(&self) -> Option<f64> {
+        let pairs = self.frames.windows(2);
+        let mut steps: Vec<Duration> = pairs
+            .map(|pair| pair[1].0.saturating_sub(pair[0].0))
+            .collect();
+        steps.sort_unstable();
+        let middle = steps.get(steps.len() / 2).filter(|step| !step.is_zero())?;
+        Some(1.0 / middle.as_secs_f64())
     }
 
     /// Judged time, hours: the time that the frames with a score represent. A frame represents the time to the next
     /// frame, and the last frame the same time as the one before it, but an interruption does not count. The time is 0
     /// for a drive in which no frame completed a window, because its state stays `Init`.
     pub fn hours(&self) -> f64 {
-        let is_settled = |seen| matches!(seen, Judgement::Score { settled, .. } if settled);
+        let is_settled = |seen| matches!(seen, Scored::Known { settled, .. } if settled);
         let to_next = self
             .frames
             .windows(2)
@@ -91,12 +135,16 @@ impl DriveScores {
         let (mut alarm, mut cusum) = (Alarm::default(), Cusum::default());
         self.frames.iter().map(move |&(at, seen)| {
             let seen = match seen {
-                Judgement::Score { score, settled } => {
-                    let score = score / factor;
-                    let drift = if settled { cusum.add(at, score) } else { 0.0 };
-                    judgement(score, drift, settled)
+                Scored::Known {
+                    gap,
+                    change,
+                    settled,
+                } => {
+                    let gap = gap / factor;
+                    let drift = if settled { cusum.add(at, gap) } else { 0.0 };
+                    judgement(gap, change.map(|change| change / factor), drift, settled)
                 }
-                other => other,
+                Scored::Cannot(reason) => Judgement::Cannot(reason),
             };
             alarm.step(at, seen);
             (at, alarm.state())
@@ -116,13 +164,32 @@ impl DriveScores {
     }
 }
 
-fn factor(index: i32) -> f64 {
+fn tried(index: i32) -> f64 {
     FACTOR_MIN * FACTOR_STEP.powi(index)
 }
 
 /// Whether the held-out drive with this number judges the rate that the others set.
 pub fn is_judging(drive: usize) -> bool {
     drive % JUDGE_EVERY == JUDGE_EVERY - 1
+}
+
+/// The factor for a wanted rate alone, set on the same drives as by [`calibrated`].
+#[allow(clippy::cast_precision_loss)]
+pub(super) fn factor(drives: &[DriveScores], wanted_per_hour: f64, optimistic: bool) -> f64 {
+    let setting = drives.iter().enumerate();
+    let setting = setting.filter(|&(index, _)| optimistic || !is_judging(index));
+    let setting: Vec<&DriveScores> = setting.map(|(_, drive)| drive).collect();
+    factor_for(&setting, wanted_per_hour).0
+}
+
+/// The factor for a rate on drives, and how it was found.
+fn factor_for(drives: &[&DriveScores], per_hour: f64) -> (f64, &'static str) {
+    let hours: f64 = drives.iter().map(|drive| drive.hours()).sum();
+    if hours * per_hour >= COUNTED_MIN {
+        (counted(drives, hours * per_hour), "entries counted")
+    } else {
+        modelled(drives, hours * per_hour)
+    }
 }
 
 /// The factor for a wanted rate, and the rate that it gives on other drives: of every four drives, three set it and one
@@ -142,15 +209,7 @@ pub(super) fn calibrated(
             judge.push(drive)
         }
     }
-    let hours: f64 = choose.iter().map(|drive| drive.hours()).sum();
-    let factor_for = |per_hour: f64| {
-        if hours * per_hour >= COUNTED_MIN {
-            (counted(&choose, hours * per_hour), "entries counted")
-        } else {
-            modelled(&choose, hours * per_hour)
-        }
-    };
-    let (factor, how) = factor_for(wanted_per_hour);
+    let (factor, how) = factor_for(&choose, wanted_per_hour);
     let judged_on = Some(nominal(&judge, factor)).filter(|on| on.hours > 0.0);
     let drawn = if optimistic {
         "the drives that scaled the gaps, optimistic"
@@ -164,7 +223,7 @@ pub(super) fn calibrated(
         factors: RATES_PER_HOUR
             .map(|per_hour| RateFactor {
                 per_hour,
-                factor: factor_for(per_hour).0,
+                factor: factor_for(&choose, per_hour).0,
             })
             .to_vec(),
         chosen_on: nominal(&choose, factor),
@@ -177,8 +236,8 @@ pub(super) fn calibrated(
 fn counted(drives: &[&DriveScores], wanted: f64) -> f64 {
     let too_loud = (0..FACTORS)
         .rev()
-        .find(|&i| entries(drives, factor(i)) as f64 > wanted);
-    factor(too_loud.map_or(0, |i| i + 1))
+        .find(|&i| entries(drives, tried(i)) as f64 > wanted);
+    tried(too_loud.map_or(0, |i| i + 1))
 }
 
 fn entries(drives: &[&DriveScores], factor: f64) -> u64 {
@@ -190,8 +249,8 @@ fn entries(drives: &[&DriveScores], factor: f64) -> u64 {
 fn last_factors(drives: &[&DriveScores], most: usize) -> Vec<f64> {
     let mut last = Vec::new();
     for index in (0..FACTORS).rev() {
-        let left = usize::try_from(entries(drives, factor(index))).unwrap_or(usize::MAX);
-        last.resize(left.min(most).max(last.len()), factor(index));
+        let left = usize::try_from(entries(drives, tried(index))).unwrap_or(usize::MAX);
+        last.resize(left.min(most).max(last.len()), tried(index));
         if last.len() == most {
             break;
         }

@@ -4,6 +4,7 @@ use super::binning::{Cut, Masses, PaperBinning, TapHistogram};
 use super::drive::{LabelledDrive, SurveyedDrive};
 use super::error::{CalibrationError, wrong};
 use super::stretch::{Stretch, look_at_all, sum_over_all};
+use super::timed::TimedMoments;
 use super::windows::Part;
 use crate::capture::undefined::Undefined;
 use crate::reference::gap::Metric;
@@ -104,33 +105,30 @@ impl<D: SurveyedDrive> Fitting<'_, D> {
                     counts: fitted.sum.counts,
                 },
                 scale: Vec::new(),
+                spans: Vec::new(),
             });
         Ok(nominal.collect())
     }
 
-    /// Median peak energy and moments of each tap; with the epsilon of the simulation if it is given.
-    pub fn moments(
-        &self,
-        simulation: Option<&Component>,
-    ) -> Result<(Vec<f64>, Vec<Moments>), CalibrationError> {
+    /// Median peak energy of each tap.
+    pub fn median_peaks(&self) -> Result<Vec<f64>, CalibrationError> {
         let peaks =
             self.peaks(|part, tap| part.frames.iter().map(|seen| seen.peaks[tap]).collect())?;
         let medians = peaks
             .into_iter()
             .enumerate()
             .map(|(tap, peaks)| median(peaks).ok_or_else(|| self.wrong(tap, Undefined::NoScore)));
-        let peaks: Vec<f64> = medians.collect::<Result<_, _>>()?;
-        let epsilons: Vec<f64> = peaks
-            .iter()
-            .enumerate()
-            .map(|(tap, peak)| epsilon_of(*peak, tap, simulation))
-            .collect();
+        medians.collect()
+    }
+
+    /// Moments of single frames, for each tap.
+    pub fn frame_moments(&self, epsilons: &[f64]) -> Result<Vec<Moments>, CalibrationError> {
         let nothing = vec![Moments::new(0); self.taps.len()];
-        let moments = sum_over_all(
+        sum_over_all(
             self.fitted,
             &nothing,
             |sums, part| {
-                for (tap, (sum, &epsilon)) in sums.iter_mut().zip(&epsilons).enumerate() {
+                for (tap, (sum, &epsilon)) in sums.iter_mut().zip(epsilons).enumerate() {
                     let energies = part
                         .frames
                         .iter()
@@ -140,21 +138,37 @@ impl<D: SurveyedDrive> Fitting<'_, D> {
                 Ok(())
             },
             |sums, others| sums.iter_mut().zip(others).for_each(|(a, b)| a.merge(b)),
-        )?;
-        Ok((peaks, moments))
+        )
     }
 
-    /// What is nominal for each tap, as energies; the gaps are not scaled yet. `wider` and `simulation` are given for
-    /// an accepted domain.
+    /// Moments of windows and spans, for each tap.
+    pub fn timed_moments(
+        &self,
+        epsilons: &[f64],
+        window_s: f64,
+    ) -> Result<TimedMoments, CalibrationError> {
+        sum_over_all(
+            self.fitted,
+            &TimedMoments::new(self.taps.len()),
+            |sums, part| {
+                sums.add(part, epsilons, window_s);
+                Ok(())
+            },
+            TimedMoments::merge,
+        )
+    }
+
+    /// What is nominal for each tap, as energies; the gaps are not scaled yet. `wider` is given for an accepted domain.
     pub fn energies<L: LabelledDrive>(
         &self,
         peaks: &[f64],
+        epsilons: &[f64],
         moments: &[Moments],
         wider: Option<&[Moments]>,
-        simulation: Option<&Component>,
         labelled: &[L],
     ) -> Result<Vec<TapReference>, CalibrationError> {
-        let epsilon = |tap: usize| epsilon_of(peaks[tap], tap, simulation);
+        let epsilon = |tap: usize| epsilons[tap];
+        let images = self.fitted.iter().map(|of| of.range.len() as u64).sum();
         let nominal: Vec<Nominal> = if self.metric == Metric::LaneRisk {
             let frames = labelled.iter().map(LabelledDrive::frames).sum();
             let mut fits = (0..self.taps.len())
@@ -188,12 +202,21 @@ impl<D: SurveyedDrive> Fitting<'_, D> {
         let references = taps.map(|(index, (tap, nominal))| TapReference {
             tap: tap.clone(),
             median_peak_energy: peaks[index],
-            images: moments[index].frames(),
+            images,
             nominal,
             scale: Vec::new(),
+            spans: Vec::new(),
         });
         Ok(references.collect())
     }
+}
+
+/// The energies below which channels count as inactive, for each tap: those of the simulation if it is given.
+pub fn epsilons_of(peaks: &[f64], simulation: Option<&Component>) -> Vec<f64> {
+    let peaks = peaks.iter().enumerate();
+    peaks
+        .map(|(tap, &peak)| epsilon_of(peak, tap, simulation))
+        .collect()
 }
 
 fn epsilon_of(median_peak_energy: f64, tap: usize, simulation: Option<&Component>) -> f64 {

@@ -10,10 +10,12 @@ use crate::calibration::Target;
 use crate::files::json_fault::fault;
 use crate::files::whole_file::{WholeFile, read_whole};
 use crate::reference::gap::Metric;
-use crate::reference::{BYTES_MAX, ModelFingerprint, Reference, ReferenceError, Role};
+use crate::reference::{
+    BYTES_MAX, EvidenceKind, JudgedRate, ModelFingerprint, Reference, ReferenceError, Role,
+};
 
 const FORMAT: &str = "gapwatch-shard";
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
 
 /// Drives for a future reference: a file beside their surveys. A reference contains the same about its own drives.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -31,6 +33,10 @@ pub struct Shard {
     pub window_s: f64,
     /// Target entries into `Gap` an hour.
     pub false_alarms_per_hour: f64,
+    /// What the road will be judged by.
+    pub evidence: EvidenceKind,
+    /// How often it will be judged.
+    pub rate: JudgedRate,
     /// The drives.
     pub sources: Vec<ShardSource>,
 }
@@ -74,6 +80,8 @@ impl Shard {
             metric: wanted.metric,
             window_s: wanted.window_s,
             false_alarms_per_hour: wanted.false_alarms_per_hour,
+            evidence: wanted.evidence,
+            rate: wanted.rate,
             sources,
         }
     }
@@ -125,6 +133,8 @@ impl Shard {
             metric: reference.metric,
             window_s: reference.window_s,
             false_alarms_per_hour: reference.false_alarms.wanted_per_hour,
+            evidence: reference.evidence,
+            rate: reference.rate,
             sources: sources.collect::<Result<_, ShardError>>()?,
         })
     }
@@ -150,6 +160,8 @@ impl Shard {
             metric: self.metric,
             window_s: self.window_s,
             false_alarms_per_hour: self.false_alarms_per_hour,
+            evidence: self.evidence,
+            rate: self.rate,
         }
     }
 
@@ -173,6 +185,12 @@ impl Shard {
                 self.false_alarms_per_hour.to_string(),
                 other.false_alarms_per_hour.to_string(),
             ),
+            (
+                "evidence",
+                self.evidence.to_string(),
+                other.evidence.to_string(),
+            ),
+            ("rate", self.rate.to_string(), other.rate.to_string()),
         ];
         let of_model = self.model.difference(&other.model);
         let of_model = of_model.map(|(what, ours, theirs)| match what {

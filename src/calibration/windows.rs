@@ -9,8 +9,9 @@ use super::survey::{Survey, SurveyFrame};
 use super::target::Target;
 use crate::capture::undefined::Undefined;
 use crate::features::attention::{EnergyMap, Upsampler};
-use crate::monitor::alarm::Reason;
+use crate::monitor::detector::{Evidence, PARTS_MAX};
 use crate::monitor::extraction::Extraction;
+use crate::monitor::rate::Looks;
 use crate::monitor::scorer::Scorer;
 use crate::reference::gap::Metric;
 use crate::reference::{Component, Nominal};
@@ -41,6 +42,11 @@ impl<'a> Part<'a> {
             first,
             frames: frames.collect::<Result<_, _>>()?,
         })
+    }
+
+    /// When the frames were taken.
+    pub fn times(&self) -> &[Duration] {
+        &self.survey.times[self.first..][..self.frames.len()]
     }
 
     fn wrong(&self, index: usize, why: Undefined) -> CalibrationError {
@@ -88,28 +94,62 @@ impl<'a> Part<'a> {
         })
     }
 
-    /// Passes the drive through the detector after a reset: the score of each frame.
-    pub fn scores(
+    /// Passes the drive through the detector after a reset, at the rate at which the road is judged.
+    pub fn evidence(
         &self,
         wanted: Target,
         components: &[Component],
-    ) -> Result<DriveScores, CalibrationError> {
+        mut each: impl FnMut(Duration, &Evidence),
+    ) -> Result<(), CalibrationError> {
         let common_size = self.survey.common_size;
         let mut scorer = Scorer::of(
             wanted.metric,
             components.to_vec(),
             wanted.window_s,
             common_size,
-        );
-        let times = &self.survey.times[self.first..];
-        let mut drive = DriveScores::default();
-        for (index, (&at, frame)) in times.iter().zip(&self.frames).enumerate() {
+        )
+        .with_frames_every(wanted.rate.periods().idle);
+        let mut looks = Looks::new(wanted.rate);
+        for (index, (&at, frame)) in self.times().iter().zip(&self.frames).enumerate() {
+            if !looks.is_due(at) {
+                continue;
+            }
             let evidence = scorer
                 .observe(at, &frame.maps, &frame.means)
                 .map_err(|why| self.wrong(index, why))?;
-            drive.add(at, evidence.score, evidence.fill >= 1.0);
+            looks.judged(at, evidence.judgement(), Some(evidence.score()));
+            each(at, &evidence);
         }
+        Ok(())
+    }
+
+    /// The scores of the drive.
+    pub fn scores(
+        &self,
+        wanted: Target,
+        components: &[Component],
+    ) -> Result<DriveScores, CalibrationError> {
+        let mut drive = DriveScores::default();
+        self.evidence(wanted, components, |at, evidence| {
+            drive.add_evidence(at, &Ok(evidence.clone()));
+        })?;
         Ok(drive)
+    }
+
+    /// The scores of the drive for each part of the evidence alone: the window, and each span.
+    pub fn scores_of_parts(
+        &self,
+        wanted: Target,
+        components: &[Component],
+    ) -> Result<Vec<DriveScores>, CalibrationError> {
+        let mut drives = vec![DriveScores::default(); PARTS_MAX];
+        self.evidence(wanted, components, |at, evidence| {
+            for (part, drive) in evidence.parts.iter().zip(&mut drives) {
+                // What is not known is no evidence.
+                drive.add(at, part.unwrap_or(0.0), evidence.fill >= 1.0);
+            }
+        })?;
+        Ok(drives)
     }
 }
 
@@ -127,10 +167,7 @@ pub fn drive_scores(
             .as_ref()
             .map_err(Undefined::clone)
             .and_then(|frame| scorer.observe(at, &frame.maps, &frame.means));
-        match evidence {
-            Ok(evidence) => drive.add(at, evidence.score, evidence.fill >= 1.0),
-            Err(why) => drive.add_unjudged(at, Reason::from(&why)),
-        }
+        drive.add_evidence(at, &evidence);
     }
     drive
 }
@@ -148,6 +185,11 @@ impl Track {
     fn rows(&self, frames: Range<usize>) -> impl Iterator<Item = &[u32]> {
         self.taken[frames.start * self.width..frames.end * self.width]
             .chunks_exact(self.width.max(1))
+    }
+
+    /// Time and numbers of each frame.
+    pub fn frames(&self) -> impl Iterator<Item = (Duration, &[u32])> {
+        self.at.iter().copied().zip(self.rows(0..self.at.len()))
     }
 
     /// Consecutive windows, each with the frames within `window_s` of its first frame.

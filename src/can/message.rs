@@ -257,7 +257,7 @@ fn reason_code(reason: Reason) -> ReasonCode {
         Reason::None => ReasonCode::None,
         Reason::Starting => ReasonCode::Starting,
         Reason::Abrupt => ReasonCode::Abrupt,
-        Reason::Drift => ReasonCode::Drift,
+        Reason::Drift | Reason::Change => ReasonCode::Drift,
         Reason::Black => ReasonCode::Black,
         Reason::Uniform => ReasonCode::Uniform,
         Reason::TooSmall => ReasonCode::TooSmall,

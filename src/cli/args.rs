@@ -10,6 +10,7 @@ use std::path::PathBuf;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use gapwatch::can::Sink;
 use gapwatch::record::events::Quota;
+use gapwatch::reference::EvidenceKind;
 use gapwatch::reference::gap::Metric;
 
 #[cfg(feature = "lab")]
@@ -185,6 +186,16 @@ pub struct CalibrateArgs {
     /// Length of the detector's window, seconds
     #[arg(long, value_name = "SECONDS", default_value_t = 1.0, value_parser = seconds)]
     pub window: f64,
+    /// What the road is judged by: windows has a nominal spread of each window's length and changes of the road against
+    /// its own past, frames has one window with the nominal spread of single frames
+    #[arg(long, value_name = "NAME", default_value_t = EvidenceKind::Windows)]
+    pub evidence: EvidenceKind,
+    /// Frames a second that will be judged, for which the thresholds are made; drives with more frames are thinned
+    #[arg(long, value_name = "HZ", default_value_t = 10.0, value_parser = rate)]
+    pub rate: f64,
+    /// Frames a second that will be judged while the road is clearly nominal (default: --rate)
+    #[arg(long, value_name = "HZ", value_parser = rate)]
+    pub idle_rate: Option<f64>,
     /// Folder that keeps what the encoder sees of each drive, one file for each drive, for later runs and for gapwatch
     /// merge: about 4 KB a frame of the built-in model, 25 KB for histograms (default: a temporary folder in $TMPDIR or
     /// /var/tmp)

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use anyhow::bail;
 use gapwatch::live::board::Board;
-use gapwatch::monitor::rate::Periods;
+use gapwatch::reference::Periods;
 use gapwatch::reference::Reference;
 
 /// The board's rates. A window must hold more than one frame at the slow rate, so that the time between them is not an

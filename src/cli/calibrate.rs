@@ -9,7 +9,8 @@ use gapwatch::calibration::shard::Shard;
 use gapwatch::calibration::survey::store::SurveyStore;
 use gapwatch::capture::drives;
 use gapwatch::reference::gap::Metric;
-use gapwatch::reference::{NominalDrives, Reference, Role};
+use gapwatch::reference::gap::moments::SPANS_OWN;
+use gapwatch::reference::{EvidenceKind, JudgedRate, NominalDrives, Reference, Role, Span};
 use gapwatch::statistics::event_rate::{Hours, Loudness, ThreeDigits};
 
 use super::calibration_plan::CalibrationPlan;
@@ -39,7 +40,15 @@ pub fn run(args: &CalibrateArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
         metric: args.metric,
         window_s: args.window,
         false_alarms_per_hour: args.false_alarms_per_hour,
+        evidence: args.evidence,
+        rate: JudgedRate {
+            rate_hz: args.rate,
+            idle_rate_hz: args.idle_rate.unwrap_or(args.rate),
+        },
     };
+    if let Some(fault) = wanted.rate.fault() {
+        bail!("{fault}; wanted --idle-rate at most --rate");
+    }
     let model = LoadedModel::load(&args.model)?;
     let plan = CalibrationPlan::new(model.fingerprint.clone(), wanted, sources)?;
     if !args.shard {
@@ -102,6 +111,9 @@ pub fn describe(reference: &Reference, file: &Path, out: &mut dyn Write) -> anyh
             )?;
         }
     }
+    if reference.metric == Metric::Mahalanobis && reference.evidence == EvidenceKind::Windows {
+        describe_spans(reference, out)?;
+    }
     let said = |on: &NominalDrives| {
         let counted = format!(
             "{} entries in {} of {} drives",
@@ -138,6 +150,24 @@ pub fn describe(reference: &Reference, file: &Path, out: &mut dyn Write) -> anyh
             writeln!(out, "  every fourth drive of --held-out judges the rate")?;
         }
         Loudness::NotLouder => {}
+    }
+    Ok(())
+}
+
+/// Writes what is nominal over longer times, or why nothing is.
+fn describe_spans(reference: &Reference, out: &mut dyn Write) -> anyhow::Result<()> {
+    writeln!(out, "  judged at {}", reference.rate)?;
+    let mut taps = reference.components.iter().flat_map(|of| &of.taps);
+    if taps.all(|tap| tap.spans.is_empty()) {
+        writeln!(
+            out,
+            "  no longer windows and no changes: the fitted drives are too short; wanted at least {SPANS_OWN} times {} s in \
+             drives of --sim that long",
+            Span::ALL
+                .map(Span::length_s)
+                .into_iter()
+                .fold(0.0, f64::max)
+        )?;
     }
     Ok(())
 }

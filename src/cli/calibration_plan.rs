@@ -280,11 +280,12 @@ impl CalibrationPlan {
             });
             rest = others;
         }
-        bar.set_length(looks(&domains, rest, &labelled, self.wanted.metric));
+        bar.set_length(looks(&domains, rest, &labelled, self.wanted));
         let Calibrated {
             components,
             false_alarms,
             mut sources,
+            rate,
         } = calibrate(&domains, rest, &labelled, &self.model.taps, self.wanted)?;
         bar.finish_and_clear();
         for name in &self.labelled {
@@ -306,6 +307,7 @@ impl CalibrationPlan {
             self.model.clone(),
             self.wanted.metric,
             self.wanted.window_s,
+            (self.wanted.evidence, rate),
             false_alarms,
             provenance,
             components,
@@ -330,6 +332,8 @@ impl CalibrationPlan {
             metric,
             window_s,
             false_alarms_per_hour,
+            evidence,
+            rate,
         } = self.wanted;
         add(
             "--false-alarms-per-hour",
@@ -337,6 +341,9 @@ impl CalibrationPlan {
         );
         add("--metric", &[metric.to_string()]);
         add("--window", &[window_s.to_string()]);
+        add("--evidence", &[evidence.to_string()]);
+        add("--rate", &[rate.rate_hz.to_string()]);
+        add("--idle-rate", &[rate.idle_rate_hz.to_string()]);
         let built_in = ModelSpec::new(None, ModelOptions::default())?;
         let of = &self.model.preprocessing;
         if self.model.name != built_in.name {

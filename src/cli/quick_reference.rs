@@ -15,17 +15,18 @@ pub fn made_for(model: &LoadedModel) -> anyhow::Result<Reference> {
         name: "simulation".to_owned(),
         drives: &surveys,
     };
-    let wanted = Target {
-        metric: "log-energy-js".parse().map_err(|why| anyhow!("{why}"))?,
-        window_s: 1.0,
-        false_alarms_per_hour: 1.0,
-    };
+    let wanted = Target::new(
+        "log-energy-js".parse().map_err(|why| anyhow!("{why}"))?,
+        1.0,
+        1.0,
+    );
     let no_labels: &[LabelledMeans] = &[];
     let made = calibrate(&[domain], &[], no_labels, &model.spec.taps, wanted)?;
     Ok(Reference::new(
         model.fingerprint.clone(),
         wanted.metric,
         wanted.window_s,
+        (wanted.evidence, made.rate),
         made.false_alarms,
         Provenance {
             gapwatch: env!("CARGO_PKG_VERSION").to_owned(),

@@ -4,7 +4,8 @@ use std::time::Duration;
 
 use super::{Orders, Word};
 use crate::monitor::judge::{Judge, Sighting, Verdict};
-use crate::monitor::rate::{Periods, RatePolicy};
+use crate::monitor::rate::RatePolicy;
+use crate::reference::Periods;
 
 /// What the judge knows between frames.
 #[derive(Debug)]
@@ -104,7 +105,10 @@ mod tests {
             sequence: at.into(),
             quality: None,
             evidence: Ok(Evidence {
-                score,
+                gap: score,
+                change: None,
+                parts: heapless::Vec::new(),
+                holds: false,
                 blocks: heapless::Vec::new(),
                 component: 0,
                 drift: 0.0,

@@ -36,9 +36,9 @@ use crate::monitor::alarm::{AlarmState, Reason};
 use crate::monitor::detector::Evidence;
 use crate::monitor::judge::{Sighting, Verdict};
 use crate::monitor::pipeline::Look;
-use crate::monitor::rate::Periods;
 use crate::record::events::{EventRecorder, Message};
 use crate::record::journal::{self, About, Journal};
+use crate::reference::Periods;
 use crate::reference::Reference;
 use crate::statistics::random::SplitMix64;
 
@@ -290,7 +290,10 @@ impl World {
                 Err(Undefined::Black)
             } else {
                 Ok(Evidence {
-                    score,
+                    gap: score,
+                    change: None,
+                    parts: heapless::Vec::new(),
+                    holds: false,
                     blocks: heapless::Vec::new(),
                     component: 0,
                     drift,

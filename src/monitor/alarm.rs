@@ -75,6 +75,8 @@ pub enum Reason {
     Abrupt,
     /// The window is below its threshold, but has been near it for too long.
     Drift,
+    /// The road differs from its own past.
+    Change,
     /// The picture is black.
     Black,
     /// The picture has one colour.
@@ -107,6 +109,7 @@ impl Reason {
             Self::Starting => "starting",
             Self::Abrupt => "abrupt",
             Self::Drift => "drift",
+            Self::Change => "change",
             Self::Black => "black",
             Self::Uniform => "uniform",
             Self::TooSmall => "too-small",
@@ -157,6 +160,11 @@ pub enum Judgement {
     },
     /// No window is beyond its threshold, but their sum over time is: evidence of a gap.
     Drift {
+        /// As in `Score`.
+        settled: bool,
+    },
+    /// The road is within a nominal domain, but differs from its own past: evidence of a gap.
+    Change {
         /// As in `Score`.
         settled: bool,
     },
@@ -254,6 +262,7 @@ impl Alarm {
                 self.judged(now, (score >= 1.0).then_some(Reason::Abrupt), settled);
             }
             Judgement::Drift { settled } => self.judged(now, Some(Reason::Drift), settled),
+            Judgement::Change { settled } => self.judged(now, Some(Reason::Change), settled),
             Judgement::Cannot(reason) => self.not_judged(now, reason),
         }
     }

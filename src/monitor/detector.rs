@@ -8,23 +8,16 @@ use heapless::Deque;
 use crate::capture::undefined::Undefined;
 use crate::model::TAPS_MAX;
 use crate::monitor::alarm::Judgement;
-use crate::monitor::continuity::{Continuity, SLOWEST};
+use crate::monitor::cusum::Cusum;
 use crate::monitor::profile::{TapProfile, spreads_of};
+use crate::monitor::span_watch::{SpanScore, SpanWatch};
 use crate::reference::gap::Metric;
-use crate::reference::{Component, Reference};
+use crate::reference::{Component, Reference, Span};
 
 /// Largest number of frames in a window. At higher frame rates the window is shorter than the wanted time.
 pub const WINDOW_FRAMES_MAX: usize = 32;
 /// A pause longer than this many windows is an interruption: what was seen before it says nothing about the present.
 const HOLE_WINDOWS: u32 = 2;
-/// Score that is subtracted in the cumulative sum: drift is what stays above it. It is three quarters of the way from
-/// the nominal median to the threshold, so that only what is nearly an alarm adds up.
-const DRIFT_SLACK: f64 = 0.75;
-/// A window adds at most this score to the sum, because short bursts are found by the window itself.
-const DRIFT_SCORE_MAX: f64 = 2.0;
-/// Sum above the slack, in score times seconds, that is a drift: 20 s at the threshold itself.
-const DRIFT_LIMIT_S: f64 = 5.0;
-
 /// What one block says about the window.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BlockScore {
@@ -36,11 +29,22 @@ pub struct BlockScore {
     pub score: f64,
 }
 
-/// What the window says about the road.
+/// Largest number of parts of the evidence: the window, and the spans.
+pub const PARTS_MAX: usize = 1 + Span::ALL.len();
+
+/// What is known of the road.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Evidence {
-    /// The largest score of the blocks that decide.
-    pub score: f64,
+    /// How far the road is from the nearest nominal domain: the largest score of the blocks that decide, in the window
+    /// and over longer times.
+    pub gap: f64,
+    /// How far the road is from its own past; `None` while the past is too short.
+    pub change: Option<f64>,
+    /// The score of the window, then that of each span, each for the domain that is nearest to it; `None` while it is
+    /// not known.
+    pub parts: heapless::Vec<Option<f64>, PARTS_MAX>,
+    /// The road has changed so far that its past is held.
+    pub holds: bool,
     /// One entry for each tap, against the nearest nominal domain.
     pub blocks: heapless::Vec<BlockScore, TAPS_MAX>,
     /// The nearest nominal domain, by its index in the reference.
@@ -54,49 +58,29 @@ pub struct Evidence {
 }
 
 impl Evidence {
+    /// The largest score of all evidence.
+    pub fn score(&self) -> f64 {
+        self.change.map_or(self.gap, |change| change.max(self.gap))
+    }
+
     /// What the evidence contributes to the alarm.
     pub fn judgement(&self) -> Judgement {
-        judgement(self.score, self.drift, self.fill >= 1.0)
+        judgement(self.gap, self.change, self.drift, self.fill >= 1.0)
     }
 }
 
-/// What a score and a drift contribute to the alarm.
-pub fn judgement(score: f64, drift: f64, settled: bool) -> Judgement {
-    if score < 1.0 && drift >= 1.0 {
+/// What a gap, a change and a drift contribute to the alarm.
+pub fn judgement(gap: f64, change: Option<f64>, drift: f64, settled: bool) -> Judgement {
+    let changed = gap < 1.0 && change.is_some_and(|change| change >= 1.0);
+    if changed {
+        Judgement::Change { settled }
+    } else if gap < 1.0 && drift >= 1.0 {
         Judgement::Drift { settled }
     } else {
-        Judgement::Score { score, settled }
-    }
-}
-
-/// Adds scores up over time. An interruption adds nothing, and after more than two seconds the sum begins anew.
-#[derive(Clone, Debug, Default)]
-pub struct Cusum {
-    sum_s: f64,
-    seen: Continuity,
-    last: Option<Duration>,
-}
-
-impl Cusum {
-    /// For frames that may come as slowly as one every `period`.
-    pub fn with_frames_every(period: Duration) -> Self {
-        Self {
-            seen: Continuity::with_frames_every(period),
-            ..Self::default()
+        Judgement::Score {
+            score: gap,
+            settled,
         }
-    }
-
-    /// Adds the score of a window that was seen at `now`; returns the sum, which is 1 at its limit.
-    pub fn add(&mut self, now: Duration, score: f64) -> f64 {
-        let long = SLOWEST.max(self.seen.patience());
-        if (self.last.replace(now)).is_some_and(|last| now.saturating_sub(last) > long) {
-            self.sum_s = 0.0;
-        }
-        let since_s = self.seen.step(now).unwrap_or_default().as_secs_f64();
-        let above = score.min(DRIFT_SCORE_MAX) - DRIFT_SLACK;
-        // The sum stops at its limit, so that a drift ends soon after the high scores.
-        self.sum_s = (self.sum_s + above * since_s).clamp(0.0, DRIFT_LIMIT_S);
-        self.sum_s / DRIFT_LIMIT_S
     }
 }
 
@@ -108,6 +92,7 @@ pub struct Detector {
     /// Nominal spreads of energies by component and tap, for profiles.
     spreads: Vec<Vec<Vec<f64>>>,
     cusum: Cusum,
+    watch: SpanWatch,
     /// Frames may come as slowly as one in this time.
     period: Duration,
     span: Duration,
@@ -120,6 +105,8 @@ pub struct Detector {
     /// Sums over the window.
     sums: Vec<u64>,
     began: Option<Duration>,
+    /// The domain that was nearest last.
+    nearest: Option<usize>,
 }
 
 impl Detector {
@@ -141,6 +128,7 @@ impl Detector {
                 .iter()
                 .map(|component| component.taps.iter().map(spreads_of).collect())
                 .collect(),
+            watch: SpanWatch::new(&components, Duration::ZERO),
             components,
             cusum: Cusum::default(),
             period: Duration::ZERO,
@@ -150,6 +138,7 @@ impl Detector {
             next_slot: 0,
             sums: vec![0; bins],
             began: None,
+            nearest: None,
         }
     }
 
@@ -157,6 +146,7 @@ impl Detector {
     pub fn with_frames_every(self, period: Duration) -> Self {
         Self {
             cusum: Cusum::with_frames_every(period),
+            watch: SpanWatch::new(&self.components, period),
             period,
             ..self
         }
@@ -196,32 +186,50 @@ impl Detector {
             .for_each(|(sum, &count)| *sum += u64::from(count));
         // There is room: a full window has lost its oldest above.
         let _ = self.times.push_back(now);
+        self.nearest = None;
         let began = *self.began.get_or_insert(now);
         let fill = ((now - began).as_secs_f64() / self.span.as_secs_f64()).min(1.0);
+        self.watch.add(now, counts);
         let mut evidence = self.evidence(fill)?;
+        self.watch.hold(evidence.holds);
         if fill >= 1.0 {
-            evidence.drift = self.cusum.add(now, evidence.score);
+            evidence.drift = self.cusum.add(now, evidence.gap);
         }
+        self.nearest = Some(evidence.component);
         Ok(evidence)
     }
 
-    /// The evidence for the nominal domain that is nearest to the window.
-    fn evidence(&self, fill: f64) -> Result<Evidence, Undefined> {
-        let mut sums = self.sums.as_slice();
+    /// The present evidence. Every part counts for the nominal domain that is nearest to it.
+    fn evidence(&mut self, fill: f64) -> Result<Evidence, Undefined> {
+        let mut parts = [None::<SpanScore>; PARTS_MAX];
+        let spans = self.watch.len();
         let mut nearest: Option<Evidence> = None;
+        let mut sums = self.sums.as_slice();
         for (index, component) in self.components.iter().enumerate() {
             let len = component.taps.iter().map(|tap| tap.nominal.len()).sum();
             let (own, rest) = sums.split_at(len);
             sums = rest;
-            let blocks = self.blocks(component, own)?;
+            let blocks = blocks(self.metric, component, own, self.times.len())?;
             let deciding = self.metric.deciding(blocks.len());
-            let score = blocks[deciding]
-                .iter()
-                .map(|block| block.score)
-                .fold(f64::NEG_INFINITY, f64::max);
-            if nearest.as_ref().is_none_or(|nearest| score < nearest.score) {
+            let scores = blocks[deciding].iter().map(|block| block.score);
+            let window = scores.fold(f64::NEG_INFINITY, f64::max);
+            keep_least(&mut parts[0], SpanScore::of(window));
+            let mut gap = window;
+            for span in 0..spans {
+                let Some(found) = self.watch.score(span, component) else {
+                    continue;
+                };
+                keep_least(&mut parts[1 + span], found);
+                if !self.watch.is_change(span) {
+                    gap = gap.max(found.score);
+                }
+            }
+            if nearest.as_ref().is_none_or(|nearest| gap < nearest.gap) {
                 nearest = Some(Evidence {
-                    score,
+                    gap,
+                    change: None,
+                    parts: heapless::Vec::new(),
+                    holds: false,
                     blocks,
                     component: index,
                     drift: 0.0,
@@ -230,51 +238,32 @@ impl Detector {
                 });
             }
         }
-        nearest.ok_or(Undefined::NoScore)
+        let mut evidence = nearest.ok_or(Undefined::NoScore)?;
+        let changes = (0..spans).filter(|&span| self.watch.is_change(span));
+        let changes = changes.filter_map(|span| parts[1 + span]);
+        evidence.change = changes.clone().map(|of| of.score).reduce(f64::max);
+        evidence.holds = changes.clone().any(|of| of.holds);
+        let known = parts.iter().take(1 + spans);
+        evidence.parts = known.map(|part| part.map(|of| of.score)).collect();
+        Ok(evidence)
     }
 
     /// The window beside its nearest nominal domain, tap after tap; empty if it cannot be judged.
     pub fn profiles(&self) -> Vec<TapProfile> {
-        let Ok(evidence) = self.evidence(1.0) else {
+        let Some(nearest) = self.nearest else {
             return Vec::new();
         };
-        let (before, rest) = self.components.split_at(evidence.component);
+        let (before, rest) = self.components.split_at(nearest);
         let mut sums = &self.sums[Component::taken_len(before)..];
         let taps = rest.first().map_or(&[][..], |component| &component.taps);
         taps.iter()
-            .zip(&self.spreads[evidence.component])
+            .zip(&self.spreads[nearest])
             .map(|(tap, spread)| {
                 let (own, rest) = sums.split_at(tap.nominal.len());
                 sums = rest;
                 TapProfile::new(tap, spread, own, self.times.len())
             })
             .collect()
-    }
-
-    fn blocks(
-        &self,
-        component: &Component,
-        mut sums: &[u64],
-    ) -> Result<heapless::Vec<BlockScore, TAPS_MAX>, Undefined> {
-        let frames = self.times.len();
-        let mut blocks = heapless::Vec::new();
-        for tap in &component.taps {
-            let (live, rest) = sums.split_at(tap.nominal.len());
-            sums = rest;
-            let compared = tap.nominal.compare(self.metric, live, frames)?;
-            let (median, threshold) = tap.scale_for(frames);
-            let score = (compared.gap - median) / (threshold - median);
-            if !score.is_finite() {
-                return Err(Undefined::NoScore);
-            }
-            // A reference has at most as many taps as a model.
-            let _ = blocks.push(BlockScore {
-                gap: compared.gap,
-                similarity: compared.similarity,
-                score,
-            });
-        }
-        Ok(blocks)
     }
 
     fn forget_oldest(&mut self) {
@@ -297,6 +286,40 @@ impl Detector {
     }
 }
 
+/// What each block of a domain says of a window of `frames` frames.
+fn blocks(
+    metric: Metric,
+    component: &Component,
+    mut sums: &[u64],
+    frames: usize,
+) -> Result<heapless::Vec<BlockScore, TAPS_MAX>, Undefined> {
+    let mut blocks = heapless::Vec::new();
+    for tap in &component.taps {
+        let (live, rest) = sums.split_at(tap.nominal.len());
+        sums = rest;
+        let compared = tap.nominal.compare(metric, live, frames)?;
+        let (median, threshold) = tap.scale_for(frames);
+        let score = (compared.gap - median) / (threshold - median);
+        if !score.is_finite() {
+            return Err(Undefined::NoScore);
+        }
+        // A reference has at most as many taps as a model.
+        let _ = blocks.push(BlockScore {
+            gap: compared.gap,
+            similarity: compared.similarity,
+            score,
+        });
+    }
+    Ok(blocks)
+}
+
+/// Keeps the smaller score.
+fn keep_least(least: &mut Option<SpanScore>, found: SpanScore) {
+    if least.is_none_or(|least| found.score < least.score) {
+        *least = Some(found);
+    }
+}
+
 #[cfg(test)]
 mod tests {
     #![allow(
@@ -313,7 +336,10 @@ mod tests {
     #[test]
     fn a_score_goes_before_a_drift_and_a_full_window_settles() {
         let evidence = |score, drift, fill| Evidence {
-            score,
+            gap: score,
+            change: None,
+            parts: heapless::Vec::new(),
+            holds: false,
             blocks: heapless::Vec::new(),
             component: 0,
             drift,
@@ -360,6 +386,7 @@ mod tests {
                 median: 0.1,
                 threshold: 0.3,
             }],
+            spans: Vec::new(),
         };
         Component {
             name: "simulation".into(),
@@ -397,58 +424,6 @@ mod tests {
         assert_eq!(profiles[0].nominal, [0.0, 0.0, 0.25, 0.75]);
     }
 
-    #[test]
-    fn scores_below_the_threshold_add_up_to_a_drift_at_any_rate() {
-        for step_ms in [20, 100, 500] {
-            let first_drift_s = |score: f64| {
-                let mut cusum = Cusum::default();
-                (0..60_000 / step_ms)
-                    .find(|&i| cusum.add(at(i * step_ms), score) >= 1.0)
-                    .map(|i| (i * step_ms) as f64 / 1_000.0)
-            };
-            assert_eq!(first_drift_s(0.7), None);
-            // The limit is a sum of 5 s above 0.75: 20 s at the threshold, 4 s at twice the threshold and more.
-            for (score, wanted_s) in [(1.0, 20.0), (2.0, 4.0), (90.0, 4.0)] {
-                let found_s = first_drift_s(score).unwrap();
-                assert!((found_s - wanted_s).abs() <= 0.5, "{score}: {found_s} s");
-            }
-        }
-    }
-
-    #[test]
-    fn a_drift_is_over_at_once_and_forgotten_within_seven_seconds() {
-        let mut cusum = Cusum::default();
-        (0..600).for_each(|i| {
-            cusum.add(at(100 * i), 2.0);
-        });
-        let left: Vec<f64> = (600..670).map(|i| cusum.add(at(100 * i), 0.0)).collect();
-        assert!(left[0] < 1.0 && left[69] <= 0.01, "{left:?}");
-    }
-
-    #[test]
-    fn a_hole_adds_nothing_to_a_drift() {
-        // 3 s at a score of 1.75 add 3.
-        let drift_behind = |pause_ms: u64, slow: bool| {
-            let mut cusum = if slow {
-                Cusum::with_frames_every(at(1_000))
-            } else {
-                Cusum::default()
-            };
-            (0..=30).for_each(|i| {
-                cusum.add(at(100 * i), 1.75);
-            });
-            cusum.add(at(3_000 + pause_ms), 1.75)
-        };
-        let close = |a: f64, b: f64| (a - b).abs() < 1e-9;
-        assert!(close(drift_behind(500, false), 0.7));
-        assert!(close(drift_behind(501, false), 0.6));
-        assert!(close(drift_behind(2_000, false), 0.6));
-        assert!(close(drift_behind(2_001, false), 0.0));
-        assert!(close(drift_behind(600_000, false), 0.0));
-        assert!(close(drift_behind(1_500, true), 0.9));
-        assert!(close(drift_behind(1_501, true), 0.6));
-    }
-
     fn at(ms: u64) -> Duration {
         Duration::from_millis(ms)
     }
@@ -456,10 +431,11 @@ mod tests {
     #[test]
     fn the_score_is_0_at_the_median_and_1_at_the_threshold() {
         let seen = detector(1.0).observe(at(0), &[5, 5, 5, 5]).unwrap();
-        assert!((seen.score - (0.0 - 0.1) / (0.3 - 0.1)).abs() < 1e-12);
+        assert!((seen.score() - (0.0 - 0.1) / (0.3 - 0.1)).abs() < 1e-12);
         let apart = detector(1.0).observe(at(0), &[9, 0, 0, 0]).unwrap();
         assert!(
-            (apart.score - (apart.blocks[0].gap - 0.1) / 0.2).abs() < 1e-12 && apart.score > 1.0
+            (apart.score() - (apart.blocks[0].gap - 0.1) / 0.2).abs() < 1e-12
+                && apart.score() > 1.0
         );
     }
 

@@ -119,7 +119,7 @@ impl Judge {
         match evidence {
             None => known,
             Some(evidence) => Verdict {
-                score: Some(evidence.score),
+                score: Some(evidence.score()),
                 window_frames: Some(evidence.frames),
                 nominal_domain: Some(evidence.component),
                 drift: Some(evidence.drift),

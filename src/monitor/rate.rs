@@ -3,23 +3,15 @@
 
 use std::time::Duration;
 
-use crate::monitor::alarm::AlarmState;
+use crate::monitor::alarm::{Alarm, AlarmState, Judgement};
 use crate::monitor::continuity::Continuity;
+use crate::reference::{JudgedRate, Periods};
 
 /// A score up to this is clearly nominal: half of the way from the nominal median to the threshold.
 const CLEAR_SCORE: f64 = 0.5;
 /// The road must be clearly nominal for this long before it is looked at more slowly, because what was just suspicious
 /// may become suspicious again.
 const CALM: Duration = Duration::from_secs(5);
-
-/// Times from one frame to the next.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Periods {
-    /// At full rate.
-    pub full: Duration,
-    /// While the road is clearly nominal; the same as `full` if there is only one rate.
-    pub idle: Duration,
-}
 
 /// Decides between two rates.
 #[derive(Debug)]
@@ -56,6 +48,42 @@ impl RatePolicy {
         } else {
             self.periods.idle
         }
+    }
+}
+
+/// A frame may come this much earlier than wanted.
+const EARLY: Duration = Duration::from_millis(2);
+
+/// Chooses the frames of a drive that a live monitor would judge: it has the same rates and the same alarm.
+#[derive(Debug)]
+pub struct Looks {
+    policy: RatePolicy,
+    alarm: Alarm,
+    due: Duration,
+}
+
+impl Looks {
+    /// For a rate at which the road is judged.
+    pub fn new(rate: JudgedRate) -> Self {
+        let periods = rate.periods();
+        Self {
+            policy: RatePolicy::new(periods),
+            alarm: Alarm::with_frames_every(periods.idle),
+            due: Duration::ZERO,
+        }
+    }
+
+    /// Whether a frame of this time is judged.
+    pub fn is_due(&self, at: Duration) -> bool {
+        at + EARLY >= self.due
+    }
+
+    /// Takes the judgement of a frame, and its score if it has one.
+    pub fn judged(&mut self, at: Duration, judgement: Judgement, score: Option<f64>) {
+        self.alarm.step(at, judgement);
+        // Frames that come a little late do not delay those after them.
+        let planned = self.due.max(at.saturating_sub(EARLY));
+        self.due = planned + self.policy.after(at, self.alarm.state(), score);
     }
 }
 

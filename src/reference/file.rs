@@ -16,6 +16,8 @@ use crate::model::encoder::Encoder;
 use crate::model::preprocess::{Preprocessing, RESIZE_KERNEL};
 use crate::reference::gap::Metric;
 use crate::reference::nominal::TapReference;
+use crate::reference::rate::JudgedRate;
+use crate::reference::span::EvidenceKind;
 use crate::statistics::event_rate::{CountedRate, Loudness};
 
 /// Shortest window of the detector, seconds. The longest one holds 32 frames, which is about 3 s at 10 frames a second.
@@ -27,7 +29,7 @@ pub const COMPONENTS_MAX: usize = 64;
 /// Largest file: four times the size of a file with all components for the shipped model.
 pub(crate) const BYTES_MAX: u64 = 64 << 20;
 const FORMAT: &str = "gapwatch-reference";
-const VERSION: u32 = 4;
+const VERSION: u32 = 5;
 /// Largest number of hours and entries of nominal drives that is accepted.
 const HOURS_MAX: f64 = 1e6;
 const ENTRIES_MAX: u64 = 10_000_000;
@@ -48,6 +50,10 @@ pub struct Reference {
     pub metric: Metric,
     /// Length of the detector's window, seconds.
     pub window_s: f64,
+    /// What the road is judged by.
+    pub evidence: EvidenceKind,
+    /// How often the road is judged: the thresholds are made for this rate.
+    pub rate: JudgedRate,
     /// How often nominal driving enters `Gap`.
     pub false_alarms: FalseAlarms,
     /// How it was made.
@@ -288,6 +294,7 @@ impl Reference {
         model: ModelFingerprint,
         metric: Metric,
         window_s: f64,
+        (evidence, rate): (EvidenceKind, JudgedRate),
         false_alarms: FalseAlarms,
         provenance: Provenance,
         components: Vec<Component>,
@@ -299,6 +306,8 @@ impl Reference {
             strict: is_strict(metric, &components),
             metric,
             window_s,
+            evidence,
+            rate,
             false_alarms,
             provenance,
             components,
@@ -367,10 +376,20 @@ impl Reference {
                 self.components.len()
             ));
         }
+        if let Some(fault) = self.rate.fault() {
+            return Some(fault);
+        }
         if let Some(fault) = self.false_alarms.fault() {
             return Some(fault);
         }
+        let spans = self.components.first().map_or(0, Component::spans);
         self.components.iter().find_map(|component| {
+            if component.taps.iter().any(|tap| tap.spans.len() != spans) {
+                return Some(format!(
+                    "{}: other spans than the simulation",
+                    component.name
+                ));
+            }
             let names: Vec<&String> = component.taps.iter().map(|t| &t.tap).collect();
             if names.is_empty() || names != self.model.taps.iter().collect::<Vec<_>>() {
                 return Some(format!(
@@ -427,6 +446,11 @@ impl Reference {
 }
 
 impl Component {
+    /// Number of its spans.
+    pub fn spans(&self) -> usize {
+        self.taps.first().map_or(0, |tap| tap.spans.len())
+    }
+
     /// How many numbers some domains take from a frame.
     pub fn taken_len(components: &[Self]) -> usize {
         let taps = components.iter().flat_map(|component| &component.taps);

@@ -9,6 +9,7 @@ use crate::features::histogram::Binning;
 use crate::reference::gap::lane_risk::LaneRisk;
 use crate::reference::gap::moments::{EnergyNorm, energy_levels};
 use crate::reference::gap::{Comparison, Metric};
+use crate::reference::span::{Span, SpanNorm};
 
 /// Largest gap of a metric that compares histograms: the gap of a correlation of -1.
 const GAP_MAX: f64 = 2.0;
@@ -29,6 +30,9 @@ pub struct TapReference {
     pub nominal: Nominal,
     /// Nominal gaps by the number of frames in the window, fewest first.
     pub scale: Vec<ScalePoint>,
+    /// What is nominal over longer times; only for energies, and empty if the nominal drives are too short for it.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub spans: Vec<SpanNorm>,
 }
 
 /// What is taken from a frame, and its values on nominal frames.
@@ -102,7 +106,40 @@ impl TapReference {
                 "a scale without rising frame counts and medians below thresholds".to_owned(),
             );
         }
-        None
+        self.span_fault()
+    }
+
+    /// Moves the thresholds of a part of the evidence (0 the window, then the spans) away from their medians by a
+    /// factor.
+    pub fn widen(&mut self, part: usize, factor: f64) {
+        let wider = |median: f64, threshold: f64| median + factor * (threshold - median);
+        match part.checked_sub(1) {
+            None => {
+                for point in &mut self.scale {
+                    point.threshold = wider(point.median, point.threshold);
+                }
+            }
+            Some(span) => {
+                if let Some(norm) = self.spans.get_mut(span) {
+                    norm.threshold = wider(norm.median, norm.threshold);
+                }
+            }
+        }
+    }
+
+    fn span_fault(&self) -> Option<String> {
+        if self.spans.is_empty() {
+            return None;
+        }
+        if self.spans.len() != Span::ALL.len() || !matches!(self.nominal, Nominal::Energies(_)) {
+            return Some(format!(
+                "{} spans, not {} for energies or none",
+                self.spans.len(),
+                Span::ALL.len()
+            ));
+        }
+        let mut spans = self.spans.iter().zip(Span::ALL);
+        spans.find_map(|(norm, span)| norm.fault(span, self.nominal.len()))
     }
 
     /// Median and threshold for windows of `frames`, linear in `1 / frames` between the points of the scale, because

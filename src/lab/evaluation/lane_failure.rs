@@ -308,11 +308,7 @@ impl Thresholds {
             name: "simulation".to_owned(),
             drives: fitted,
         };
-        let wanted = Target {
-            metric: method.metric(),
-            window_s: method.window_s(),
-            false_alarms_per_hour: RATES_PER_HOUR[0],
-        };
+        let wanted = Target::new(method.metric(), method.window_s(), RATES_PER_HOUR[0]);
         let Calibrated {
             components,
             false_alarms,

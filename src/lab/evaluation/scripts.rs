@@ -10,8 +10,7 @@ use crate::capture::pixels::Pixels;
 use crate::capture::{Frame, Picture};
 use crate::lab::scene::{Condition, Drive, Look, Renderer, World};
 use crate::model::encoder::{Encoder, EncoderError};
-use crate::monitor::alarm::Reason;
-use crate::monitor::pipeline::Monitor;
+use crate::monitor::pipeline::Sight;
 use crate::reference::Reference;
 
 /// What a drive shows in one of its parts.
@@ -70,7 +69,7 @@ impl Script {
         encoder: &Encoder,
         reference: &Reference,
     ) -> Result<DriveScores, EncoderError> {
-        let mut monitor = Monitor::new(encoder, reference)?;
+        let mut sight = Sight::new(encoder, reference)?;
         let of = &reference.model.preprocessing;
         let mut renderer = Renderer::new(of.width, of.height);
         let drives: Vec<(f64, Option<Drive>, u64)> = self
@@ -103,7 +102,7 @@ impl Script {
                 Some(drive) => renderer.render(drive, at_s).rgb.to_vec(),
                 None => noise_pixels(*noise, sequence, (of.width * of.height) as usize),
             };
-            let verdict = monitor.step(&Frame {
+            let seen = sight.see(&Frame {
                 sequence,
                 captured_at: Duration::from_secs_f64(at_s),
                 picture: Ok(Pixels::from(Picture {
@@ -112,14 +111,7 @@ impl Script {
                     rgb,
                 })),
             });
-            match (verdict.score, &verdict.undefined) {
-                (Some(score), _) => {
-                    let settled = verdict.window_fill.is_some_and(|fill| fill >= 1.0);
-                    scores.add(verdict.at, score, settled);
-                }
-                (None, Some(why)) => scores.add_unjudged(verdict.at, Reason::from(why)),
-                (None, None) => scores.add_unjudged(verdict.at, Reason::Undefined),
-            }
+            scores.add_evidence(seen.at, &seen.evidence);
         }
         Ok(scores)
     }

@@ -176,11 +176,7 @@ impl<'a> Point<'a> {
             name: "simulation".to_owned(),
             drives: &fitted,
         };
-        let wanted = Target {
-            metric,
-            window_s,
-            false_alarms_per_hour: RATES_PER_HOUR[0],
-        };
+        let wanted = Target::new(metric, window_s, RATES_PER_HOUR[0]);
         let names: Vec<String> = subset.iter().map(|&tap| taps[tap].clone()).collect();
         let made = calibrate(&[domain], &held_out, &labelled, &names, wanted)?;
         let judging = held_out.into_iter().enumerate();

@@ -31,6 +31,7 @@ fn tap(scale: &[(usize, f64, f64)]) -> TapReference {
                 threshold,
             })
             .collect(),
+        spans: Vec::new(),
     }
 }
 
@@ -67,7 +68,7 @@ fn malformed_references_are_refused_by_name() {
             "make it again with the command",
         ),
         (
-            "{\"format\": \"gapwatch-reference\", \"version\": 4}",
+            "{\"format\": \"gapwatch-reference\", \"version\": 5}",
             "no \"model\" at line 1",
         ),
     ] {

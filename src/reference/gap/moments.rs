@@ -5,7 +5,7 @@
 //! says what the encoder finds there. Vectors are integers, so that sums of any number of frames are exact in any
 //! order.
 
-use nalgebra::{Cholesky, DMatrix};
+use nalgebra::{Cholesky, DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 
 use crate::capture::undefined::Undefined;
@@ -21,6 +21,8 @@ const SHRINKAGE: f64 = 0.1;
 /// Spread that is added to the spread of every channel, nats, because a channel that is never active in simulation is
 /// not enough evidence alone.
 pub(super) const SPREAD_FLOOR: f64 = 0.05;
+/// The level that stands for no difference: above any difference of levels.
+pub const NO_DIFFERENCE: u32 = 1 << 20;
 /// Smallest number of frames for moments.
 pub const FRAMES_MIN: u64 = 2;
 
@@ -73,6 +75,11 @@ impl Moments {
         self.frames
     }
 
+    /// Number of energies.
+    pub fn energies(&self) -> usize {
+        self.sums.len()
+    }
+
     /// Sum of the levels, `[energies]`.
     pub fn sums(&self) -> &[u64] {
         &self.sums
@@ -88,6 +95,19 @@ impl Moments {
                 *product += u64::from(level) * u64::from(other);
             }
         }
+    }
+
+    /// Adds differences of levels, nats `[energies]`, each as a level that is [`NO_DIFFERENCE`] without a difference.
+    pub fn add_differences(&mut self, differences: &[f64], levels: &mut [u32]) {
+        for (level, difference) in levels.iter_mut().zip(differences) {
+            let steps = (STEPS_PER_NAT * difference).round() + f64::from(NO_DIFFERENCE);
+            // Differences of levels are far smaller than `NO_DIFFERENCE` steps.
+            #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)]
+            {
+                *level = steps as u32;
+            }
+        }
+        self.add(levels);
     }
 
     /// Adds the frames of another set. If there are no frames yet, the number of energies is taken from the other set.
@@ -123,6 +143,13 @@ impl Moments {
         self.sums.iter().map(|&sum| sum as f64 / scale).collect()
     }
 
+    /// Mean square of differences that were added with [`add_differences`](Self::add_differences), nats squared.
+    fn second_moment(&self) -> DMatrix<f64> {
+        let off = f64::from(NO_DIFFERENCE) / STEPS_PER_NAT;
+        let mean = DVector::from_vec(self.mean()).add_scalar(-off);
+        self.covariance() + &mean * mean.transpose()
+    }
+
     /// Covariance, nats squared. Differences are calculated with integers, so that there is no cancellation.
     #[allow(clippy::cast_precision_loss)]
     pub(super) fn covariance(&self) -> DMatrix<f64> {
@@ -150,7 +177,7 @@ impl Moments {
 pub struct EnergyNorm {
     /// Energy below which a channel counts as inactive, squared activation units.
     pub epsilon: f64,
-    /// `[energies]`, mean of `ln(1 + e / epsilon)`, nats.
+    /// `[energies]`, mean of `ln(1 + e / epsilon)`, nats; 0 for differences.
     pub mean: Vec<f64>,
     /// `[energies (energies + 1) / 2]`: lower triangle, row by row, of the matrix that whitens deviations from the mean.
     pub whitening: Vec<f32>,
@@ -170,12 +197,43 @@ impl EnergyNorm {
         own.check_frames()?;
         let mut covariance = own.covariance();
         if let Some((wider, drives)) = wider {
-            // The weight of the own spread is its number of drives, and that of the wider set is `PRIOR_DRIVES`.
-            #[allow(clippy::cast_precision_loss)]
-            let weight = drives as f64 / (drives as f64 + PRIOR_DRIVES);
-            covariance = weight * covariance + (1.0 - weight) * wider.covariance();
+            covariance = mixed(&covariance, &wider.covariance(), drives);
         }
-        let len = own.sums.len();
+        Self::with_spread(epsilon, own.mean(), &covariance)
+    }
+
+    /// The norm of differences of levels, which nominally have no mean. With `wider`, the differences of a larger set of
+    /// nominal drives: if there are at least [`SPANS_OWN`] independent `spans` of their own, the spread is a mixture of
+    /// both, as in [`fit`](Self::fit); otherwise it is that of the larger set, widened by the own differences.
+    ///
+    /// # Errors
+    /// `TooFewImages` without enough differences.
+    pub fn fit_changes(
+        epsilon: f64,
+        own: &Moments,
+        spans: usize,
+        wider: Option<&Moments>,
+    ) -> Result<Self, Undefined> {
+        let covariance = match wider {
+            None => {
+                own.check_frames()?;
+                own.covariance()
+            }
+            Some(wider) if spans >= SPANS_OWN => {
+                mixed(&own.covariance(), &wider.covariance(), spans)
+            }
+            Some(wider) if own.frames > 0 => wider.covariance() + own.second_moment(),
+            Some(wider) => wider.covariance(),
+        };
+        Self::with_spread(epsilon, vec![0.0; covariance.nrows()], &covariance)
+    }
+
+    fn with_spread(
+        epsilon: f64,
+        mean: Vec<f64>,
+        covariance: &DMatrix<f64>,
+    ) -> Result<Self, Undefined> {
+        let len = mean.len();
         let spreads: Vec<f64> = (0..len)
             .map(|i| (covariance[(i, i)] + SPREAD_FLOOR * SPREAD_FLOOR).sqrt())
             .collect();
@@ -196,7 +254,7 @@ impl EnergyNorm {
             .collect();
         Ok(Self {
             epsilon,
-            mean: own.mean(),
+            mean,
             whitening,
         })
     }
@@ -211,16 +269,27 @@ impl EnergyNorm {
     #[allow(clippy::cast_precision_loss)]
     pub fn distance(&self, sums: &[u64], frames: usize) -> f64 {
         let scale = 1.0 / (STEPS_PER_NAT * frames.max(1) as f64);
+        self.whitened(|column| sums[column] as f64 * scale - self.mean[column])
+    }
+
+    /// The same of a vector of mean levels, or of differences of levels, nats `[energies]`. `deviations` is at least as
+    /// long, and is written to. Allocates nothing.
+    pub fn distance_of(&self, levels: &[f64], deviations: &mut [f64]) -> f64 {
+        let apart = deviations.iter_mut().zip(levels).zip(&self.mean);
+        apart.for_each(|((deviation, level), mean)| *deviation = level - mean);
+        self.whitened(|column| deviations[column])
+    }
+
+    #[inline(always)]
+    fn whitened(&self, deviation: impl Fn(usize) -> f64) -> f64 {
         let mut whitening = self.whitening.as_slice();
         let mut total = 0.0;
         for row in 0..self.mean.len() {
             let (weights, rest) = whitening.split_at(row + 1);
             whitening = rest;
-            let across: f64 = weights
-                .iter()
-                .zip(sums)
-                .zip(&self.mean)
-                .map(|((&weight, &sum), mean)| f64::from(weight) * (sum as f64 * scale - mean))
+            let parts = weights.iter().enumerate();
+            let across: f64 = parts
+                .map(|(column, &weight)| f64::from(weight) * deviation(column))
                 .sum();
             total += across * across;
         }
@@ -261,6 +330,15 @@ impl EnergyNorm {
 
 /// Number of drives of an accepted domain at which its spread is half its own and half that of the simulation.
 const PRIOR_DRIVES: f64 = 20.0;
+/// Number of independent spans from which on changes of an accepted domain have a spread of their own.
+pub const SPANS_OWN: usize = 20;
+
+/// The weight of the own spread is its number of drives or spans, and that of the wider set is `PRIOR_DRIVES`.
+#[allow(clippy::cast_precision_loss)]
+fn mixed(own: &DMatrix<f64>, wider: &DMatrix<f64>, drives: usize) -> DMatrix<f64> {
+    let weight = drives as f64 / (drives as f64 + PRIOR_DRIVES);
+    weight * own + (1.0 - weight) * wider
+}
 
 #[cfg(test)]
 mod tests {

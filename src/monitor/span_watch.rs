@@ -1,0 +1,192 @@
+//! Levels over time → what the spans of a reference compare: means of the last seconds, and their differences from the
+//! past before them.
+//!
+//! While a change lasts, the past is held, so that the change is not absorbed. The past begins anew when the change has
+//! lasted for [`HELD_MAX`], and after an interruption of more than [`PAST_LOST`].
+
+use std::time::Duration;
+
+use crate::monitor::continuity::Continuity;
+use crate::monitor::history::{BIN, History};
+use crate::reference::{Component, Span, SpanNorm};
+
+/// Longest time for which the past is held, in which the road was seen.
+pub const HELD_MAX: Duration = Duration::from_secs(60);
+/// An interruption that is longer than this makes the past unknown.
+pub const PAST_LOST: Duration = Duration::from_secs(60);
+
+/// Follows the spans of a reference.
+#[derive(Debug)]
+pub struct SpanWatch {
+    spans: Vec<Watched>,
+    history: History,
+    continuity: Continuity,
+    /// Time in which the road was seen.
+    seen: Duration,
+    last: Option<Duration>,
+    held_since: Option<Duration>,
+    past: Vec<f64>,
+    deviations: Vec<f64>,
+}
+
+/// One span and what it compares now.
+#[derive(Debug)]
+struct Watched {
+    recent_bins: usize,
+    past_bins: Option<usize>,
+    /// `[energies]`, nats.
+    levels: Vec<f64>,
+    is_known: bool,
+}
+
+/// What one span says of one nominal domain.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SpanScore {
+    /// 0 nominal median, 1 alarm threshold; the largest of the blocks.
+    pub score: f64,
+    /// So far from nominal that the past is to be held.
+    pub holds: bool,
+}
+
+impl SpanScore {
+    /// A score that holds nothing.
+    pub fn of(score: f64) -> Self {
+        Self {
+            score,
+            holds: false,
+        }
+    }
+}
+
+impl SpanWatch {
+    /// For the spans of nominal domains, whose frames may come as slowly as one every `period`.
+    pub fn new(components: &[Component], period: Duration) -> Self {
+        let taps = components.first().map_or(&[][..], |first| &first.taps);
+        let spans: Vec<Span> = taps.first().map_or_else(Vec::new, |tap| {
+            tap.spans.iter().map(|norm| norm.span).collect()
+        });
+        let width = match spans.as_slice() {
+            [] => 0,
+            _ => taps.iter().map(|tap| tap.nominal.len()).sum(),
+        };
+        Self::of(&spans, width, period)
+    }
+
+    /// For some spans of frames with `width` energies.
+    pub fn of(spans: &[Span], width: usize, period: Duration) -> Self {
+        let watched = |span: &Span| Watched {
+            recent_bins: bins(span.recent_s),
+            past_bins: span.past_s.map(bins),
+            levels: vec![0.0; width],
+            is_known: false,
+        };
+        Self {
+            spans: spans.iter().map(watched).collect(),
+            history: History::new(width),
+            continuity: Continuity::with_frames_every(period),
+            seen: Duration::ZERO,
+            last: None,
+            held_since: None,
+            past: vec![0.0; width],
+            deviations: vec![0.0; width],
+        }
+    }
+
+    /// Number of spans.
+    pub fn len(&self) -> usize {
+        self.spans.len()
+    }
+
+    /// Whether nothing is watched.
+    pub fn is_empty(&self) -> bool {
+        self.spans.is_empty()
+    }
+
+    /// Whether the span with this index compares the road with its own past.
+    pub fn is_change(&self, span: usize) -> bool {
+        self.spans
+            .get(span)
+            .is_some_and(|span| span.past_bins.is_some())
+    }
+
+    /// Adds a frame's levels, `[energies]`, at the front of `levels`.
+    pub fn add(&mut self, now: Duration, levels: &[u32]) {
+        if self.is_empty() {
+            return;
+        }
+        let held = self.held_since.is_some();
+        let lost = self
+            .last
+            .is_some_and(|last| now < last || now - last > PAST_LOST);
+        self.last = Some(now);
+        match self.continuity.step(now) {
+            Some(since) => self.seen += since,
+            None if lost => {
+                self.history.forget();
+                self.held_since = None;
+            }
+            None => self.history.interrupt(held),
+        }
+        let own = &levels[..self.past.len().min(levels.len())];
+        self.history.add(self.seen, own, self.held_since.is_some());
+        for span in &mut self.spans {
+            span.is_known = self
+                .history
+                .recent(self.seen, span.recent_bins, &mut span.levels);
+            if let (true, Some(past_bins)) = (span.is_known, span.past_bins) {
+                span.is_known = self
+                    .history
+                    .past(span.recent_bins, past_bins, &mut self.past);
+                let apart = span.levels.iter_mut().zip(&self.past);
+                apart.for_each(|(level, past)| *level -= past);
+            }
+        }
+    }
+
+    /// What the span with this index compares, nats `[energies]`; `None` while it is not known.
+    pub fn levels(&self, span: usize) -> Option<&[f64]> {
+        let span = self.spans.get(span).filter(|span| span.is_known)?;
+        Some(&span.levels)
+    }
+
+    /// What the span with this index says of a nominal domain; `None` while it is not known.
+    pub fn score(&mut self, span: usize, component: &Component) -> Option<SpanScore> {
+        let of = self.spans.get(span).filter(|span| span.is_known)?;
+        let mut levels = of.levels.as_slice();
+        let mut found = SpanScore {
+            score: f64::NEG_INFINITY,
+            holds: false,
+        };
+        for tap in &component.taps {
+            let (own, rest) = levels.split_at(tap.nominal.len());
+            levels = rest;
+            let norm: &SpanNorm = tap.spans.get(span)?;
+            let distance = norm.norm.distance_of(own, &mut self.deviations);
+            found.score = found.score.max(norm.score(distance));
+            found.holds |= distance >= norm.held_from;
+        }
+        Some(found)
+    }
+
+    /// Holds the past while something has changed, at most for [`HELD_MAX`]. Returns whether a change has lasted so long
+    /// that the past begins anew.
+    pub fn hold(&mut self, changed: bool) -> bool {
+        if !changed {
+            self.held_since = None;
+            return false;
+        }
+        let since = *self.held_since.get_or_insert(self.seen);
+        let over = self.seen - since >= HELD_MAX;
+        if over {
+            self.history.forget_past();
+            self.held_since = None;
+        }
+        over
+    }
+}
+
+// Spans are a few seconds long.
+#[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)]
+fn bins(seconds: f64) -> usize {
+    (seconds / BIN.as_secs_f64()).round() as usize
+}
