@@ -49,7 +49,10 @@
 //! | window | the last frames that are judged together |
 //! | gap | distance of a window from the nearest nominal domain, in units of its metric |
 //! | score | the gap scaled: 0 is the nominal median, 1 the alarm threshold |
+//! | change | how far the road differs from its own past, as a score |
+//! | lanes | forecast of the share of lanes that the model loses |
 //! | evidence | what a window adds for or against an alarm |
+//! | cause | what most likely causes the evidence: fog, dirt, another road, ... |
 //! | verdict | what is known after a frame, or when no frame came |
 //! | reference | nominal domains with their thresholds, for one model |
 //! | survey | what the encoder saw of a whole drive |

@@ -36,6 +36,7 @@ pub mod detector;
 pub mod scorer;
 
 pub mod alarm;
+pub mod cause;
 pub mod rate;
 pub mod timing;
 

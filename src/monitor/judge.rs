@@ -7,6 +7,7 @@ use crate::capture::undefined::Undefined;
 use crate::features::image_quality::ImageQuality;
 use crate::model::TAPS_MAX;
 use crate::monitor::alarm::{Alarm, AlarmState, Judgement, Reason};
+use crate::monitor::cause::LikelyCause;
 use crate::monitor::detector::{BlockScore, Evidence};
 
 /// What a frame adds to what was seen before.
@@ -35,8 +36,14 @@ pub struct Verdict {
     pub reason: Reason,
     /// Why this frame has no score.
     pub undefined: Option<Undefined>,
-    /// The largest score of the blocks: 0 nominal, 1 alarm threshold; `None` when the frame cannot be judged.
+    /// The largest of all evidence: 0 nominal, 1 alarm threshold; `None` when the frame cannot be judged.
     pub score: Option<f64>,
+    /// How far the road differs from its own past: 0 nominal median, 1 alarm threshold; `None` when this is not known.
+    pub change: Option<f64>,
+    /// Forecast of the share of lanes that the model loses, 0..1; `None` when there is no forecast.
+    pub lanes: Option<f64>,
+    /// What most likely causes the evidence; `None` when nothing is known of it.
+    pub cause: Option<LikelyCause>,
     /// One entry for each tap; empty if the frame cannot be judged.
     pub blocks: heapless::Vec<BlockScore, TAPS_MAX>,
     /// How good the picture was; `None` when the frame cannot be judged.
@@ -65,6 +72,9 @@ impl Verdict {
             reason: Reason::Starting,
             undefined: None,
             score: None,
+            change: None,
+            lanes: None,
+            cause: None,
             quality: None,
             blocks: heapless::Vec::new(),
             window_frames: None,
