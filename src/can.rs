@@ -1,6 +1,6 @@
 //! The last step of the chain: what the monitor reports, as frames on a CAN bus.
 //!
-//! `GapStatus, GapHealth -> 8 bytes -> schedule -> counter and CRC -> WarningSink`
+//! `GapStatus, GapHealth, GapVersion -> 8 bytes -> schedule -> counter and CRC -> WarningSink`
 //!
 //! It defines the messages (`can/gapwatch.dbc` is their single source, from which the code that packs the bits is
 //! generated), their E2E protection, their timing, and the log that replaces a bus on a desk. It does not judge: it
@@ -12,13 +12,16 @@
 //!
 //! use gapwatch::can::message::GapStatus;
 //! use gapwatch::monitor::alarm::{AlarmState, Reason};
+//! use gapwatch::monitor::cause::Cause;
 //!
 //! let status = GapStatus {
 //!     state: AlarmState::Gap,
 //!     reason: Reason::Abrupt,
 //!     gap_stored: true,
+//!     cause: Some(Cause::Fog),
 //!     score: Some(1.44),
-//!     block_scores: [Some(0.9), Some(1.44), None],
+//!     change: Some(0.5),
+//!     lanes: Some(0.25),
 //!     fault_detection_counter: 127,
 //!     frame_age: Some(Duration::from_millis(100)),
 //! };

@@ -60,11 +60,14 @@ fn every_frame_on_the_bus_is_decoded_and_its_crc_and_counter_accepted_by_others(
         &[
             log.to_str().unwrap(),
             &format!("{ROOT}/src/can/gapwatch.dbc"),
+            "--reference",
+            &format!("{ROOT}/calibration/sim.json"),
         ],
     );
     let report: serde_json::Value = serde_json::from_str(said.lines().last().unwrap()).unwrap();
-    // 60 s: ten status frames a second, one health and one detail.
-    assert!(report["frames"].as_u64().unwrap() >= 720, "{report}");
+    // 60 s: ten status frames a second, one health, one version and one detail.
+    assert!(report["frames"].as_u64().unwrap() >= 780, "{report}");
+    assert!(report["version_frames"].as_u64().unwrap() >= 60, "{report}");
     let states: Vec<&str> = report["states"]
         .as_array()
         .unwrap()

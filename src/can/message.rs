@@ -12,15 +12,19 @@ use thiserror::Error;
 use super::BusState;
 use super::generated::{
     self, GapClearClearCode as ClearCode, GapHealthBusState as BusCode,
-    GapStatusReason as ReasonCode, GapStatusState as StateCode,
+    GapStatusCause as CauseCode, GapStatusReason as ReasonCode, GapStatusState as StateCode,
 };
 use crate::monitor::alarm::{AlarmState, Reason};
+use crate::monitor::cause::Cause;
+
+/// Version of `gapwatch.dbc`: that of the frames that are written and read here.
+pub const DBC_VERSION: u8 = 2;
 
 // The generated accessors of scaled signals round towards zero and give "not available" the physical value 255, so the
 // raw accessors are used and the factors of the DBC are repeated here; a test checks that they agree.
 const SCORE_STEP: f64 = 0.02;
 const FRAME_RATE_STEP_HZ: f64 = 0.25;
-const WINDOW_FILL_STEP: f64 = 0.005;
+const SHARE_STEP: f64 = 0.005;
 const FRAME_AGE_STEP: Duration = Duration::from_millis(100);
 const LATENCY_STEP: Duration = Duration::from_millis(2);
 
@@ -32,8 +36,10 @@ const LARGEST: u8 = 254;
 const AGE_NOT_AVAILABLE: u8 = 15;
 /// Largest frame age, 4 bits.
 const LARGEST_AGE: u8 = 14;
-/// Code of a full window.
-const WINDOW_FULL: u8 = 200;
+/// Code of a share of 1: a full window, all lanes, certainty.
+const WHOLE: u8 = 200;
+/// Largest number of the first part of the program's version, 4 bits.
+const LARGEST_MAJOR: u8 = 15;
 
 /// The bytes hold a code that has no meaning.
 #[derive(Clone, Copy, Debug, Error, PartialEq, Eq)]
@@ -56,11 +62,16 @@ pub struct GapStatus {
     pub reason: Reason,
     /// Whether there was a gap since the last clear request.
     pub gap_stored: bool,
-    /// Largest gap over the taps in use, 1 = alarm threshold; on the bus 0 to 5.08 in steps of
-    /// 0.02. Below 0 is sent as 0, infinity as 5.08, NaN and `None` as not available.
+    /// What most likely causes the evidence. `None` is sent as "none" in the state `Ok`, in which there is nothing to
+    /// explain, and as not available in every other state.
+    pub cause: Option<Cause>,
+    /// Largest of all evidence, 1 = alarm threshold; on the bus 0 to 5.08 in steps of 0.02. Below 0 is sent as 0,
+    /// infinity as 5.08, NaN and `None` as not available.
     pub score: Option<f64>,
-    /// Gap of the first, second and third tap, on the scale of `score`.
-    pub block_scores: [Option<f64>; 3],
+    /// How far the road differs from its own past, on the scale of `score`.
+    pub change: Option<f64>,
+    /// Forecast of the share of lanes that the model loses, 0 to 1; on the bus in steps of 0.005.
+    pub lanes: Option<f64>,
     /// Debounce after AUTOSAR Dem: 127 = failed, -128 = passed.
     pub fault_detection_counter: i8,
     /// Age of the last judged frame; on the bus 0 to 1.4 s in steps of 0.1 s, rounded up so that
@@ -81,12 +92,11 @@ impl GapStatus {
         ));
         message.set_state_raw_val(state_code(self.state).into());
         message.set_gap_stored_raw_val(self.gap_stored.into());
+        message.set_cause_raw_val(cause_code(self.cause, self.state).into());
         message.set_reason_raw_val(reason_code(self.reason).into());
-        let [tap1, tap2, tap3] = self.block_scores;
         message.set_score_raw_val(steps(self.score, SCORE_STEP, LARGEST));
-        message.set_score_tap1_raw_val(steps(tap1, SCORE_STEP, LARGEST));
-        message.set_score_tap2_raw_val(steps(tap2, SCORE_STEP, LARGEST));
-        message.set_score_tap3_raw_val(steps(tap3, SCORE_STEP, LARGEST));
+        message.set_change_raw_val(steps(self.change, SCORE_STEP, LARGEST));
+        message.set_lanes_raw_val(steps(self.lanes, SHARE_STEP, WHOLE));
         message.set_fault_detection_counter_raw_val(self.fault_detection_counter);
         *message.raw()
     }
@@ -94,7 +104,7 @@ impl GapStatus {
     /// Reads the 8 bytes of a checked frame.
     ///
     /// # Errors
-    /// [`MessageError`] when state or reason hold a code without a meaning.
+    /// [`MessageError`] when state, cause, reason or lanes hold a code without a meaning.
     pub fn from_bytes(data: &[u8; 8]) -> Result<Self, MessageError> {
         let message =
             generated::GapStatus::try_from(data.as_slice()).expect("a message of 8 bytes");
@@ -103,18 +113,18 @@ impl GapStatus {
             signal,
             code,
         };
+        let lanes = message.lanes_raw_val();
         Ok(Self {
             state: state_of(message.state())
                 .ok_or_else(|| unknown("State", message.state_raw_val()))?,
             reason: reason_of(message.reason())
                 .ok_or_else(|| unknown("Reason", message.reason_raw_val()))?,
             gap_stored: message.gap_stored(),
+            cause: cause_of(message.cause())
+                .ok_or_else(|| unknown("Cause", message.cause_raw_val()))?,
             score: number(message.score_raw_val(), SCORE_STEP),
-            block_scores: [
-                number(message.score_tap1_raw_val(), SCORE_STEP),
-                number(message.score_tap2_raw_val(), SCORE_STEP),
-                number(message.score_tap3_raw_val(), SCORE_STEP),
-            ],
+            change: number(message.change_raw_val(), SCORE_STEP),
+            lanes: share(lanes).ok_or_else(|| unknown("Lanes", lanes))?,
             fault_detection_counter: message.fault_detection_counter(),
             frame_age: time(
                 message.frame_age_raw_val(),
@@ -142,8 +152,8 @@ pub struct GapHealth {
     pub latency_p99: Option<Duration>,
     /// How full the window of judged frames is, 0 to 1; on the bus in steps of 0.005.
     pub window_fill: Option<f64>,
-    /// First byte of the SHA-256 of the reference in use.
-    pub reference_id: u8,
+    /// How likely the cause in `GapStatus` is, 0 to 1; on the bus in steps of 0.005.
+    pub cause_probability: Option<f64>,
 }
 
 impl GapHealth {
@@ -159,16 +169,16 @@ impl GapHealth {
         message.set_dropped_frames_raw_val(dropped.min(LARGEST));
         message.set_latency_p50_raw_val(latency(self.latency_p50));
         message.set_latency_p99_raw_val(latency(self.latency_p99));
-        message.set_window_fill_raw_val(steps(self.window_fill, WINDOW_FILL_STEP, WINDOW_FULL));
-        message.set_reference_id_raw_val(self.reference_id);
+        message.set_window_fill_raw_val(steps(self.window_fill, SHARE_STEP, WHOLE));
+        message.set_cause_probability_raw_val(steps(self.cause_probability, SHARE_STEP, WHOLE));
         *message.raw()
     }
 
     /// Reads the 8 bytes of a checked frame. The value 254 of `dropped_frames` may mean more.
     ///
     /// # Errors
-    /// [`MessageError`] if the window is more than full, if the bus state has no meaning, or if the dropped frames are
-    /// not available, which gapwatch never sends.
+    /// [`MessageError`] if the window is more than full, if a cause is more than certain, if the bus state has no
+    /// meaning, or if the dropped frames are not available, which gapwatch never sends.
     pub fn from_bytes(data: &[u8; 8]) -> Result<Self, MessageError> {
         let message =
             generated::GapHealth::try_from(data.as_slice()).expect("a message of 8 bytes");
@@ -182,9 +192,7 @@ impl GapHealth {
             return Err(unknown("DroppedFrames", dropped));
         }
         let window_fill = message.window_fill_raw_val();
-        if window_fill > WINDOW_FULL && window_fill != NOT_AVAILABLE {
-            return Err(unknown("WindowFill", window_fill));
-        }
+        let probability = message.cause_probability_raw_val();
         Ok(Self {
             strict: message.strict(),
             bus_state: bus_of(message.bus_state())
@@ -193,8 +201,70 @@ impl GapHealth {
             dropped_frames: dropped.into(),
             latency_p50: time(message.latency_p50_raw_val(), LATENCY_STEP, NOT_AVAILABLE),
             latency_p99: time(message.latency_p99_raw_val(), LATENCY_STEP, NOT_AVAILABLE),
-            window_fill: number(window_fill, WINDOW_FILL_STEP),
-            reference_id: message.reference_id(),
+            window_fill: share(window_fill).ok_or_else(|| unknown("WindowFill", window_fill))?,
+            cause_probability: share(probability)
+                .ok_or_else(|| unknown("CauseProbability", probability))?,
+        })
+    }
+}
+
+/// Which version of the DBC the frames follow, and which reference is in use: message `GapVersion`. Its layout is the
+/// same in every version.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct GapVersion {
+    /// First four bytes of the SHA-256 of the reference in use.
+    pub reference_id: [u8; 4],
+    /// First two numbers of the version of gapwatch; on the bus at most 15 and 255.
+    pub program: [u8; 2],
+}
+
+impl GapVersion {
+    /// That of this program with a reference ([`Reference::id`](crate::reference::Reference::id)).
+    pub fn of_this_program(reference_id: [u8; 4]) -> Self {
+        let part = |text: &str| text.parse().unwrap_or(u8::MAX);
+        Self {
+            reference_id,
+            program: [
+                part(env!("CARGO_PKG_VERSION_MAJOR")),
+                part(env!("CARGO_PKG_VERSION_MINOR")),
+            ],
+        }
+    }
+
+    /// The 8 bytes of the frame, counter and CRC 0.
+    pub fn to_bytes(&self) -> [u8; 8] {
+        let mut message =
+            generated::GapVersion::try_from([0; 8].as_slice()).expect("a message of 8 bytes");
+        let [major, minor] = self.program;
+        message.set_program_major_raw_val(major.min(LARGEST_MAJOR));
+        message.set_program_minor_raw_val(minor);
+        message.set_dbc_version_raw_val(DBC_VERSION);
+        message.set_reference_id_raw_val(u32::from_be_bytes(self.reference_id));
+        *message.raw()
+    }
+
+    /// Reads the 8 bytes of a checked frame.
+    ///
+    /// # Errors
+    /// [`MessageError`] when the frames follow another version of the DBC than [`DBC_VERSION`]: then the other messages
+    /// cannot be read here.
+    pub fn from_bytes(data: &[u8; 8]) -> Result<Self, MessageError> {
+        let message =
+            generated::GapVersion::try_from(data.as_slice()).expect("a message of 8 bytes");
+        let version = message.dbc_version_raw_val();
+        if version != DBC_VERSION {
+            return Err(MessageError {
+                message: "GapVersion",
+                signal: "DbcVersion",
+                code: version,
+            });
+        }
+        Ok(Self {
+            reference_id: message.reference_id_raw_val().to_be_bytes(),
+            program: [
+                message.program_major_raw_val(),
+                message.program_minor_raw_val(),
+            ],
         })
     }
 }
@@ -257,7 +327,8 @@ fn reason_code(reason: Reason) -> ReasonCode {
         Reason::None => ReasonCode::None,
         Reason::Starting => ReasonCode::Starting,
         Reason::Abrupt => ReasonCode::Abrupt,
-        Reason::Drift | Reason::Change => ReasonCode::Drift,
+        Reason::Drift => ReasonCode::Drift,
+        Reason::Change => ReasonCode::Change,
         Reason::Black => ReasonCode::Black,
         Reason::Uniform => ReasonCode::Uniform,
         Reason::TooSmall => ReasonCode::TooSmall,
@@ -278,6 +349,7 @@ fn reason_of(code: ReasonCode) -> Option<Reason> {
         ReasonCode::Starting => Some(Reason::Starting),
         ReasonCode::Abrupt => Some(Reason::Abrupt),
         ReasonCode::Drift => Some(Reason::Drift),
+        ReasonCode::Change => Some(Reason::Change),
         ReasonCode::Black => Some(Reason::Black),
         ReasonCode::Uniform => Some(Reason::Uniform),
         ReasonCode::TooSmall => Some(Reason::TooSmall),
@@ -290,6 +362,46 @@ fn reason_of(code: ReasonCode) -> Option<Reason> {
         ReasonCode::Parked => Some(Reason::Parked),
         ReasonCode::Stopped => Some(Reason::Stopped),
         ReasonCode::NotAvailable | ReasonCode::_Other(_) => None,
+    }
+}
+
+fn cause_code(cause: Option<Cause>, state: AlarmState) -> CauseCode {
+    match cause {
+        Some(Cause::Fog) => CauseCode::Fog,
+        Some(Cause::Night) => CauseCode::Night,
+        Some(Cause::Rain) => CauseCode::Rain,
+        Some(Cause::Snow) => CauseCode::Snow,
+        Some(Cause::Glare) => CauseCode::Glare,
+        Some(Cause::Dirt) => CauseCode::Dirt,
+        Some(Cause::Blur) => CauseCode::Blur,
+        Some(Cause::Noise) => CauseCode::Noise,
+        Some(Cause::Askew) => CauseCode::Askew,
+        Some(Cause::Tunnel) => CauseCode::Tunnel,
+        Some(Cause::AnotherRoad) => CauseCode::AnotherRoad,
+        Some(Cause::Other) => CauseCode::Other,
+        None if state == AlarmState::Ok => CauseCode::None,
+        None => CauseCode::NotAvailable,
+    }
+}
+
+/// The cause, if there is one; `None` for a code without a meaning.
+#[allow(clippy::option_option)]
+fn cause_of(code: CauseCode) -> Option<Option<Cause>> {
+    match code {
+        CauseCode::Fog => Some(Some(Cause::Fog)),
+        CauseCode::Night => Some(Some(Cause::Night)),
+        CauseCode::Rain => Some(Some(Cause::Rain)),
+        CauseCode::Snow => Some(Some(Cause::Snow)),
+        CauseCode::Glare => Some(Some(Cause::Glare)),
+        CauseCode::Dirt => Some(Some(Cause::Dirt)),
+        CauseCode::Blur => Some(Some(Cause::Blur)),
+        CauseCode::Noise => Some(Some(Cause::Noise)),
+        CauseCode::Askew => Some(Some(Cause::Askew)),
+        CauseCode::Tunnel => Some(Some(Cause::Tunnel)),
+        CauseCode::AnotherRoad => Some(Some(Cause::AnotherRoad)),
+        CauseCode::Other => Some(Some(Cause::Other)),
+        CauseCode::None | CauseCode::NotAvailable => Some(None),
+        CauseCode::_Other(_) => None,
     }
 }
 
@@ -323,6 +435,12 @@ pub(super) fn steps(value: Option<f64>, step: f64, largest: u8) -> u8 {
         }
         _ => NOT_AVAILABLE,
     }
+}
+
+/// A share of 1; `None` for a code without a meaning.
+#[allow(clippy::option_option)]
+fn share(steps: u8) -> Option<Option<f64>> {
+    (steps <= WHOLE || steps == NOT_AVAILABLE).then(|| number(steps, SHARE_STEP))
 }
 
 fn number(steps: u8, step: f64) -> Option<f64> {

@@ -76,7 +76,12 @@ impl Receiver {
             ));
         }
         let settings = &self.settings;
-        let ours = [settings.status.id, settings.health.id, settings.detail.id];
+        let ours = [
+            settings.status.id,
+            settings.health.id,
+            settings.detail.id,
+            settings.version.id,
+        ];
         ours.contains(&frame.id).then_some(Heard::Foreign(frame.id))
     }
 }
@@ -138,6 +143,8 @@ mod tests {
         let mut hear = |id| receiver.hear(&CanFrame { id, data: [0; 8] });
         assert_eq!(hear(0x5D0), Some(Heard::Foreign(0x5D0)));
         assert_eq!(hear(0x5D1), Some(Heard::Foreign(0x5D1)));
+        assert_eq!(hear(0x5D2), Some(Heard::Foreign(0x5D2)));
+        assert_eq!(hear(0x5D3), Some(Heard::Foreign(0x5D3)));
         assert_eq!(hear(0x123), None);
     }
 

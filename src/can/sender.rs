@@ -1,7 +1,7 @@
 //! When each frame is sent.
 //!
-//! `GapStatus` is sent in a fixed cycle, and at once if the car must be informed of a change; `GapHealth` is sent in
-//! its own cycle. The sender manages the schedules, what waits for the sink, and the E2E counters. Only the newest
+//! `GapStatus` is sent in a fixed cycle, and at once if the car must be informed of a change; `GapHealth` and
+//! `GapVersion` are sent in their own cycles. The sender manages the schedules, what waits for the sink, and the E2E counters. Only the newest
 //! state waits: a frame gets its content, its age, its counter and its CRC when the sink accepts it. It reads no clock:
 //! time is an argument.
 //!
@@ -12,7 +12,7 @@
 use std::time::Duration;
 
 use super::e2e::E2eSender;
-use super::message::{GapHealth, GapStatus};
+use super::message::{GapHealth, GapStatus, GapVersion};
 use super::{CanFrame, CanSettings, CanSettingsError, SinkError, WarningSink};
 
 /// Counts of frames since the start.
@@ -26,7 +26,7 @@ pub struct SendCounts {
     pub dropped: u64,
 }
 
-/// Sends [`GapStatus`] and [`GapHealth`] at their times.
+/// Sends [`GapStatus`], [`GapHealth`] and [`GapVersion`] at their times.
 ///
 /// For every frame of the drive, call [`update`](Self::update) and then [`poll`](Self::poll). On a live bus, also call
 /// `poll` at least once in every minimum gap, whatever the encoder does.
@@ -35,18 +35,22 @@ pub struct StatusSender {
     live: bool,
     status: Schedule<GapStatus>,
     health: Schedule<GapHealth>,
+    version: Schedule<GapVersion>,
     status_e2e: E2eSender,
     health_e2e: E2eSender,
+    version_e2e: E2eSender,
     last_poll: Option<Duration>,
     /// When the sink accepted the last frame.
     last_taken: Duration,
     counts: SendCounts,
 }
 
+/// What is due at the same time is sent in this order.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 enum Message {
     Status,
     Health,
+    Version,
 }
 
 impl StatusSender {
@@ -67,8 +71,10 @@ impl StatusSender {
                 },
             ),
             health: Schedule::new(settings.health_period, Duration::ZERO, |_, _| false),
+            version: Schedule::new(settings.version_period, Duration::ZERO, |_, _| false),
             status_e2e: E2eSender::new(settings.status.data_id),
             health_e2e: E2eSender::new(settings.health.data_id),
+            version_e2e: E2eSender::new(settings.version.data_id),
             last_poll: None,
             last_taken: Duration::ZERO,
             counts: SendCounts::default(),
@@ -92,6 +98,11 @@ impl StatusSender {
         self.health.update = Some((now, *health));
     }
 
+    /// Sets the version from `now` on, like [`update`](Self::update).
+    pub fn update_version(&mut self, now: Duration, version: &GapVersion) {
+        self.version.update = Some((now, *version));
+    }
+
     /// Sends all frames due up to and including `now`, in the order of their due times. What the sink refuses or is not
     /// ready for is offered again by the next call, with the time and the newest content of that call.
     ///
@@ -110,7 +121,7 @@ impl StatusSender {
 
     /// Whether something waits for the sink, or for the end of the minimum gap.
     pub fn is_waiting(&self) -> bool {
-        self.status.is_waiting() || self.health.is_waiting()
+        self.status.is_waiting() || self.health.is_waiting() || self.version.is_waiting()
     }
 
     /// The counts of frames so far.
@@ -120,16 +131,20 @@ impl StatusSender {
 
     /// Makes the message that is due next, up to `until`, wait for the sink; returns the time from which it waits.
     fn fall_due(&mut self, until: Duration) -> Option<Duration> {
-        let (status, health) = (self.status.due(until), self.health.due(until));
-        let due = match (status, health) {
-            (Some(status), Some(health)) => status.min(health),
-            (due, None) | (None, due) => due?,
-        };
+        let due = [
+            (self.status.due(until), Message::Status),
+            (self.health.due(until), Message::Health),
+            (self.version.due(until), Message::Version),
+        ];
+        let due = due
+            .into_iter()
+            .filter_map(|(at, message)| Some((at?, message)));
+        let (due, message) = due.min()?;
         let at = if self.live { until } else { due };
-        let is_new = if status == Some(due) {
-            self.status.fall_due(at)
-        } else {
-            self.health.fall_due(at)
+        let is_new = match message {
+            Message::Status => self.status.fall_due(at),
+            Message::Health => self.health.fall_due(at),
+            Message::Version => self.version.fall_due(at),
         };
         self.counts.dropped += u64::from(!is_new);
         Some(at)
@@ -147,7 +162,8 @@ impl StatusSender {
         let gap_over = told.map_or(Duration::ZERO, |(at, _)| *at + self.settings.minimum_gap);
         let status = at(self.status.waiting, gap_over).map(|at| (at, Message::Status));
         let health = at(self.health.waiting, Duration::ZERO).map(|at| (at, Message::Health));
-        let next = status.into_iter().chain(health).min();
+        let version = at(self.version.waiting, Duration::ZERO).map(|at| (at, Message::Version));
+        let next = status.into_iter().chain(health).chain(version).min();
         next.filter(|&(at, _)| at <= until)
     }
 
@@ -169,6 +185,11 @@ impl StatusSender {
                     let id = self.settings.health.id;
                     (id, health.to_bytes(), &mut self.health_e2e)
                 }
+                Message::Version => {
+                    let (_, version) = self.version.content(at);
+                    let id = self.settings.version.id;
+                    (id, version.to_bytes(), &mut self.version_e2e)
+                }
             };
             let taken = e2e.protect(data, |data| sink.send(at, &CanFrame { id, data }));
             if let Err(refusal) = taken {
@@ -180,6 +201,7 @@ impl StatusSender {
             match message {
                 Message::Status => self.status.taken(at),
                 Message::Health => self.health.taken(at),
+                Message::Version => self.version.taken(at),
             }
         }
         Ok(())

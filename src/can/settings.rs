@@ -27,6 +27,8 @@ pub struct CanSettings {
     pub health: MessageIds,
     /// Identifiers of `GapDetail`; 0x5D2 by default.
     pub detail: MessageIds,
+    /// Identifiers of `GapVersion`; 0x5D3 by default.
+    pub version: MessageIds,
     /// Identifiers of `GapClear`; 0x5D8 by default.
     pub clear: MessageIds,
     /// Time between cyclic `GapStatus` frames; 100 ms by default.
@@ -35,6 +37,8 @@ pub struct CanSettings {
     pub health_period: Duration,
     /// Time between `GapDetail` frames; 1 s by default.
     pub detail_period: Duration,
+    /// Time between `GapVersion` frames; 1 s by default.
+    pub version_period: Duration,
     /// Whether the bus has CAN FD and `GapDetail` is sent; false by default.
     pub fd: bool,
     /// Shortest time between two `GapStatus` frames; 20 ms by default.
@@ -48,15 +52,18 @@ impl Default for CanSettings {
         let status = generated::GapStatus::ATTRIBUTES;
         let health = generated::GapHealth::ATTRIBUTES;
         let detail = generated::GapDetail::ATTRIBUTES;
+        let version = generated::GapVersion::ATTRIBUTES;
         let clear = generated::GapClear::ATTRIBUTES;
         Self {
             status: ids(generated::GapStatus::MESSAGE_ID, &status),
             health: ids(generated::GapHealth::MESSAGE_ID, &health),
             detail: ids(generated::GapDetail::MESSAGE_ID, &detail),
+            version: ids(generated::GapVersion::MESSAGE_ID, &version),
             clear: ids(generated::GapClear::MESSAGE_ID, &clear),
             status_period: Duration::from_millis(status.cycle_ms),
             health_period: Duration::from_millis(health.cycle_ms),
             detail_period: Duration::from_millis(detail.cycle_ms),
+            version_period: Duration::from_millis(version.cycle_ms),
             fd: false,
             minimum_gap: Duration::from_millis(status.minimum_gap_ms),
             speed: None,
@@ -81,8 +88,13 @@ pub enum CanSettingsError {
     #[error("CAN id {0:#X} does not fit into 11 bits (largest is 0x7FF)")]
     IdTooLarge(u16),
     /// Two messages share an identifier.
-    #[error("CAN id {0:#X} is given to two messages")]
-    SameId(u16),
+    #[error("CAN id {id:#X} is given to two messages, {} and {}", .messages[0], .messages[1])]
+    SameId {
+        /// The identifier.
+        id: u16,
+        /// The messages, by their keys in a board file.
+        messages: [&'static str; 2],
+    },
     /// The signal of the vehicle's speed is wrong.
     #[error("the speed: {0}")]
     Speed(#[from] SpeedError),
@@ -107,26 +119,35 @@ impl CanSettings {
     /// not fit into a frame, a period of zero, or a minimum gap that is not shorter than the status period.
     pub fn check(&self) -> Result<(), CanSettingsError> {
         let ids = [
-            self.status.id,
-            self.health.id,
-            self.detail.id,
-            self.clear.id,
+            ("status", self.status.id),
+            ("health", self.health.id),
+            ("detail", self.detail.id),
+            ("version", self.version.id),
+            ("clear", self.clear.id),
         ];
-        for (n, &id) in ids.iter().enumerate() {
+        let same = |before: &[(&'static str, u16)], (name, id)| {
+            let other = before.iter().find(|(_, other)| *other == id);
+            other.map_or(Ok(()), |&(other, id)| {
+                let messages = [other, name];
+                Err(CanSettingsError::SameId { id, messages })
+            })
+        };
+        for (n, &(name, id)) in ids.iter().enumerate() {
             if id > LARGEST_ID {
                 return Err(CanSettingsError::IdTooLarge(id));
             }
-            if ids[..n].contains(&id) {
-                return Err(CanSettingsError::SameId(id));
-            }
+            same(&ids[..n], (name, id))?;
         }
         if let Some(speed) = &self.speed {
             speed.check()?;
-            if ids.contains(&speed.id) {
-                return Err(CanSettingsError::SameId(speed.id));
-            }
+            same(&ids, ("speed", speed.id))?;
         }
-        let periods = [self.status_period, self.health_period, self.detail_period];
+        let periods = [
+            self.status_period,
+            self.health_period,
+            self.detail_period,
+            self.version_period,
+        ];
         if periods.contains(&Duration::ZERO) {
             return Err(CanSettingsError::NoPeriod);
         }
@@ -151,12 +172,15 @@ mod tests {
         for (ids, id) in [
             (settings.status, 0x5D0),
             (settings.health, 0x5D1),
+            (settings.detail, 0x5D2),
+            (settings.version, 0x5D3),
             (settings.clear, 0x5D8),
         ] {
             assert_eq!(ids, MessageIds { id, data_id: id });
         }
         assert_eq!(settings.status_period, Duration::from_millis(100));
         assert_eq!(settings.health_period, Duration::from_secs(1));
+        assert_eq!(settings.version_period, Duration::from_secs(1));
         assert_eq!(settings.minimum_gap, Duration::from_millis(20));
         assert_eq!(settings.check(), Ok(()));
     }
@@ -169,10 +193,29 @@ mod tests {
 
         let mut settings = CanSettings::default();
         settings.health.id = 0x5D0;
-        assert_eq!(settings.check(), Err(CanSettingsError::SameId(0x5D0)));
+        let same = |messages| CanSettingsError::SameId {
+            id: 0x5D0,
+            messages,
+        };
+        assert_eq!(settings.check(), Err(same(["status", "health"])));
+
+        let mut settings = CanSettings::default();
+        settings.version.id = 0x5D0;
+        let refused = settings.check().unwrap_err();
+        assert_eq!(refused, same(["status", "version"]));
+        assert_eq!(
+            refused.to_string(),
+            "CAN id 0x5D0 is given to two messages, status and version"
+        );
 
         let settings = CanSettings {
             health_period: Duration::ZERO,
+            ..CanSettings::default()
+        };
+        assert_eq!(settings.check(), Err(CanSettingsError::NoPeriod));
+
+        let settings = CanSettings {
+            version_period: Duration::ZERO,
             ..CanSettings::default()
         };
         assert_eq!(settings.check(), Err(CanSettingsError::NoPeriod));

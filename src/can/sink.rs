@@ -102,7 +102,7 @@ impl Sink {
             Self::Socket(interface) => {
                 let mut others = vec![settings.clear.id];
                 others.extend(settings.speed.as_ref().map(|speed| speed.id));
-                let mut own = vec![settings.status.id, settings.health.id];
+                let mut own = vec![settings.status.id, settings.health.id, settings.version.id];
                 own.extend(settings.fd.then_some(settings.detail.id));
                 let heard = bus::Heard { others, own };
                 let sink = bus::SocketSink::open(interface, heard, settings.fd)?;

@@ -272,10 +272,12 @@ fn can(file: &Keys<'_>) -> Result<CanBoard, Wrong> {
         "status",
         "health",
         "detail",
+        "version",
         "clear",
         "status_period_ms",
         "health_period_ms",
         "detail_period_ms",
+        "version_period_ms",
         "fd",
         "speed",
     ];
@@ -304,6 +306,7 @@ fn can(file: &Keys<'_>) -> Result<CanBoard, Wrong> {
         status: ids("status", default.status)?,
         health: ids("health", default.health)?,
         detail: ids("detail", default.detail)?,
+        version: ids("version", default.version)?,
         clear: ids("clear", default.clear)?,
         status_period: period(
             "status_period_ms",
@@ -312,6 +315,7 @@ fn can(file: &Keys<'_>) -> Result<CanBoard, Wrong> {
         )?,
         health_period: period("health_period_ms", Duration::ZERO, default.health_period)?,
         detail_period: period("detail_period_ms", Duration::ZERO, default.detail_period)?,
+        version_period: period("version_period_ms", Duration::ZERO, default.version_period)?,
         fd: can.get("fd", toml_keys::truth())?.unwrap_or(false),
         speed,
         ..default

@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use crate::can::detail::{DetailSender, GapDetail};
-use crate::can::message::{GapHealth, GapStatus};
+use crate::can::message::{GapHealth, GapStatus, GapVersion};
 use crate::can::receiver::{Heard, Receiver};
 use crate::can::sender::StatusSender;
 use crate::can::{CanSettings, CanSettingsError, SinkError, WarningSink};
@@ -24,7 +24,8 @@ pub struct Bus {
     sink: Box<dyn WarningSink>,
     health: Timing,
     strict: bool,
-    reference_id: u8,
+    version: GapVersion,
+    cause_probability: Option<f64>,
     /// When the last judged frame was taken.
     judged_at: Option<Duration>,
     complained_at: Option<Duration>,
@@ -51,7 +52,8 @@ impl Bus {
             sender: StatusSender::new(settings)?,
             health: Timing::default(),
             strict: reference.strict,
-            reference_id: reference.id(),
+            version: GapVersion::of_this_program(reference.id()),
+            cause_probability: None,
             judged_at: None,
             complained_at: None,
             window_fill: None,
@@ -95,12 +97,15 @@ impl Bus {
             state: verdict.state,
             reason: verdict.reason,
             gap_stored: verdict.gap_stored,
+            cause: verdict.cause.map(|likely| likely.cause),
             score: verdict.score,
-            block_scores,
+            change: verdict.change,
+            lanes: verdict.lanes,
             fault_detection_counter: verdict.fault_detection_counter,
             frame_age: self.judged_at.map(age),
         };
         self.window_fill = verdict.window_fill;
+        self.cause_probability = verdict.cause.map(|likely| likely.probability);
         self.detail = GapDetail {
             window_frames: verdict.window_frames,
             nominal_domain: verdict.nominal_domain,
@@ -114,7 +119,7 @@ impl Bus {
         self.poll(now)
     }
 
-    /// Gives `GapHealth` the time when there is nothing to report.
+    /// Gives `GapHealth` and `GapVersion` the time when there is nothing to report.
     pub fn tell_health(&mut self, now: Duration) {
         self.tell_health_of(now, now);
     }
@@ -128,9 +133,10 @@ impl Bus {
             latency_p50: self.health.latency(0.5),
             latency_p99: self.health.latency(0.99),
             window_fill: self.window_fill,
-            reference_id: self.reference_id,
+            cause_probability: self.cause_probability,
         };
         self.sender.update_health(now, &health);
+        self.sender.update_version(now, &self.version);
     }
 
     /// Sends what became due up to `now`. A bus that accepts nothing does not end the run: the newest message waits for
@@ -199,10 +205,13 @@ pub(super) mod tests {
     use std::io;
     use std::rc::Rc;
 
+    use sha2::{Digest, Sha256};
+
     use super::*;
     use crate::can::speed::SpeedSignal;
     use crate::can::{BusState, CanFrame};
     use crate::monitor::alarm::{AlarmState, Reason};
+    use crate::monitor::cause::{Cause, LikelyCause};
 
     pub const SPEED_ID: u16 = 0x1A0;
 
@@ -225,6 +234,11 @@ pub(super) mod tests {
         /// Time in ms and content of each status frame.
         pub fn statuses(&self) -> Vec<(u128, GapStatus)> {
             self.of(0x5D0, |data| GapStatus::from_bytes(data).unwrap())
+        }
+
+        /// Time in ms and content of each version frame.
+        fn versions(&self) -> Vec<(u128, GapVersion)> {
+            self.of(0x5D3, |data| GapVersion::from_bytes(data).unwrap())
         }
 
         /// Time in ms and content of each health frame.
@@ -338,6 +352,12 @@ pub(super) mod tests {
             state: AlarmState::Suspect,
             reason: Reason::Abrupt,
             score: Some(1.5),
+            change: Some(0.5),
+            lanes: Some(0.25),
+            cause: Some(LikelyCause {
+                cause: Cause::Glare,
+                probability: 0.75,
+            }),
             blocks: [1.5, 0.5].map(block).into_iter().collect(),
             window_fill: Some(0.5),
             fault_detection_counter: 9,
@@ -369,8 +389,10 @@ pub(super) mod tests {
             state: AlarmState::Suspect,
             reason: Reason::Abrupt,
             gap_stored: true,
+            cause: Some(Cause::Glare),
             score: Some(1.5),
-            block_scores: [Some(1.5), Some(0.5), None],
+            change: Some(0.5),
+            lanes: Some(0.25),
             fault_detection_counter: 9,
             frame_age: Some(ms(100)),
         };
@@ -379,8 +401,10 @@ pub(super) mod tests {
             state: AlarmState::Unavailable,
             reason: Reason::Stale,
             gap_stored: false,
+            cause: None,
             score: None,
-            block_scores: [None; 3],
+            change: None,
+            lanes: None,
             fault_detection_counter: 0,
             frame_age: Some(ms(700)),
         };
@@ -400,7 +424,7 @@ pub(super) mod tests {
             latency_p50: Some(ms(50)),
             latency_p99: Some(ms(50)),
             window_fill: Some(0.5),
-            reference_id: reference.id(),
+            cause_probability: Some(0.75),
         };
         assert_eq!(wire.borrow().healths(), [(1_050, wanted)]);
         // Silence has no latency.
@@ -412,9 +436,32 @@ pub(super) mod tests {
             frame_rate_hz: Some(0.0),
             dropped_frames: 3,
             window_fill: None,
+            cause_probability: None,
             ..wanted
         };
         assert_eq!(wire.borrow().healths()[1..], [(2_050, wanted)]);
+    }
+
+    #[test]
+    fn the_version_names_the_reference_at_once_and_every_second_also_when_nothing_is_judged() {
+        for live in [false, true] {
+            let (bus, wire) = bus();
+            let mut bus = if live { bus.live() } else { bus };
+            let file = Reference::read(None).unwrap().to_json();
+            // What `sha256sum` prints for the file.
+            let printed = Sha256::digest(file.as_bytes());
+            bus.tell(ms(30), &silence(30), ms(0)).unwrap();
+            for now in (50..=2_030).step_by(20) {
+                bus.tell_health(ms(now));
+                bus.poll(ms(now)).unwrap();
+            }
+            let versions = wire.borrow().versions();
+            let times: Vec<u128> = versions.iter().map(|(at, _)| *at).collect();
+            assert_eq!(times, [30, 1_030, 2_030]);
+            for (_, version) in versions {
+                assert_eq!(version.reference_id, printed[..4]);
+            }
+        }
     }
 
     #[test]
@@ -458,11 +505,12 @@ pub(super) mod tests {
     #[test]
     fn what_concerns_nobody_here_is_not_heard() {
         let (mut bus, wire) = bus();
-        for id in [0x123, 0x5D1, 0x124] {
+        for id in [0x123, 0x5D1, 0x124, 0x5D3] {
             let data = [0; 8];
             wire.borrow_mut().heard.push_back(CanFrame { id, data });
         }
         assert_eq!(bus.hear(), Some(Heard::Foreign(0x5D1)));
+        assert_eq!(bus.hear(), Some(Heard::Foreign(0x5D3)));
         assert_eq!(bus.hear(), None);
     }
 }

@@ -439,9 +439,11 @@ impl Reference {
         file.finish().map_err(failed)
     }
 
-    /// One byte that distinguishes references on the bus: the first byte of the hash of the file's text.
-    pub fn id(&self) -> u8 {
-        Sha256::digest(self.to_json().as_bytes())[0]
+    /// Four bytes that distinguish references on the bus: the first ones of the SHA-256 of the file's text.
+    pub fn id(&self) -> [u8; 4] {
+        let hash: [u8; 32] = Sha256::digest(self.to_json().as_bytes()).into();
+        let [a, b, c, d, ..] = hash;
+        [a, b, c, d]
     }
 }
 

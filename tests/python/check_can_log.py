@@ -3,9 +3,10 @@
 Every frame is decoded by cantools (strict database), packed again, which must give the same
 bytes, and its CRC is checked by the package autosar-e2e (profile 11, data id mode BOTH). The
 counter of each message must step by 1 modulo 15, time must not go backwards, and the frames of
-a message must keep the cycle time and the minimum gap that the DBC file states.
+a message must keep the cycle time and the minimum gap that the DBC file states. GapVersion must name
+the version of the DBC file and, with --reference FILE, this reference.
 
-Prints one JSON object: {"frames": n, "status_frames": n, "health_frames": n,
+Prints one JSON object: {"frames": n, "status_frames": n, "health_frames": n, "version_frames": n,
 "states": [[t_s, "Ok"], ...]}, a state for each change. Exit code 1 with one line that names the
 first faulty line of the log; 2 when a file cannot be read.
 
@@ -13,6 +14,7 @@ Needs: pip install cantools autosar-e2e
 """
 
 import argparse
+import hashlib
 import json
 import re
 import sys
@@ -64,7 +66,7 @@ class MessageCheck:
             raise Fault(f"{name}: {error}") from error
         if packed != data:
             raise Fault(f"{name}: bits are set that belong to no signal")
-        for coded in ("State", "Reason"):
+        for coded in ("State", "Reason", "Cause"):
             if isinstance(signals.get(coded), int):
                 raise Fault(f"{name}: {coded} has the code {signals[coded]}, which has no name")
 
@@ -94,7 +96,16 @@ class MessageCheck:
             raise Fault(f"{self.message.name}: silent for the last {silence_s} s")
 
 
-def check_log(lines, checks):
+def check_version(signals, version, reference):
+    """Checks which version and which reference a GapVersion names; raises Fault."""
+    if str(signals["DbcVersion"]) != version:
+        raise Fault(f"GapVersion: version {signals['DbcVersion']}, but the DBC file has {version}")
+    named = f"{signals['ReferenceId']:08x}"
+    if reference is not None and not reference.startswith(named):
+        raise Fault(f"GapVersion: reference {named}, but the file's SHA-256 is {reference}")
+
+
+def check_log(lines, checks, version, reference):
     """Checks all lines; returns the summary and raises Fault with the line number."""
     states = []
     number, last_s = 0, Decimal(0)
@@ -110,6 +121,8 @@ def check_log(lines, checks):
             if frame_id not in checks:
                 raise Fault(f"id {frame_id:#x} is not in the DBC file")
             signals = checks[frame_id].check(time_s, bytes.fromhex(match[4]))
+            if checks[frame_id].message.name == "GapVersion":
+                check_version(signals, version, reference)
             if checks[frame_id].message.name == "GapStatus":
                 state = str(signals["State"])
                 if not states or states[-1][1] != state:
@@ -126,6 +139,7 @@ def check_log(lines, checks):
         "frames": sum(frames.values()),
         "status_frames": frames["GapStatus"],
         "health_frames": frames["GapHealth"],
+        "version_frames": frames["GapVersion"],
         "states": states,
     }
 
@@ -144,18 +158,24 @@ def main():
         default=Decimal(1),
         help="allowed deviation from cycle time and minimum gap (default: %(default)s)",
     )
+    parser.add_argument("--reference", metavar="FILE", help="the reference that was in use")
     arguments = parser.parse_args()
     try:
         database = cantools.database.load_file(arguments.dbc, strict=True)
         with open(arguments.log, encoding="ascii", newline="") as log:
             lines = list(log)
+        reference = None
+        if arguments.reference is not None:
+            # What sha256sum prints for the file.
+            with open(arguments.reference, "rb") as file:
+                reference = hashlib.sha256(file.read()).hexdigest()
     except (OSError, ValueError, cantools.Error) as error:
         print(f"{parser.prog}: {error}", file=sys.stderr)
         return 2
     tolerance_s = arguments.tolerance_ms / 1000
     checks = {m.frame_id: MessageCheck(m, tolerance_s) for m in database.messages}
     try:
-        print(json.dumps(check_log(lines, checks)))
+        print(json.dumps(check_log(lines, checks, database.version, reference)))
     except Fault as fault:
         print(f"{arguments.log}: {fault}", file=sys.stderr)
         return 1

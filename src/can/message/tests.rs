@@ -10,7 +10,7 @@ const STATES: [(AlarmState, u8); 6] = [
     (AlarmState::SensorFault, 4),
     (AlarmState::Unavailable, 5),
 ];
-const REASONS: [(Reason, u8); 15] = [
+const REASONS: [(Reason, u8); 16] = [
     (Reason::None, 0),
     (Reason::Starting, 1),
     (Reason::Abrupt, 2),
@@ -26,6 +26,21 @@ const REASONS: [(Reason, u8); 15] = [
     (Reason::Parked, 12),
     (Reason::Undefined, 13),
     (Reason::TooSmall, 14),
+    (Reason::Change, 15),
+];
+const CAUSES: [(Cause, u8); 12] = [
+    (Cause::Fog, 1),
+    (Cause::Night, 2),
+    (Cause::Rain, 3),
+    (Cause::Snow, 4),
+    (Cause::Glare, 5),
+    (Cause::Dirt, 6),
+    (Cause::Blur, 7),
+    (Cause::Noise, 8),
+    (Cause::Askew, 9),
+    (Cause::Tunnel, 10),
+    (Cause::AnotherRoad, 11),
+    (Cause::Other, 12),
 ];
 
 fn status() -> GapStatus {
@@ -33,8 +48,10 @@ fn status() -> GapStatus {
         state: AlarmState::Gap,
         reason: Reason::Abrupt,
         gap_stored: true,
+        cause: Some(Cause::Dirt),
         score: Some(1.0),
-        block_scores: [Some(0.02), Some(5.08), None],
+        change: Some(5.08),
+        lanes: Some(0.25),
         fault_detection_counter: 127,
         frame_age: Some(Duration::from_millis(300)),
     }
@@ -49,23 +66,97 @@ fn health() -> GapHealth {
         latency_p50: Some(Duration::from_millis(24)),
         latency_p99: None,
         window_fill: Some(1.0),
-        reference_id: 0xC3,
+        cause_probability: Some(0.84),
+    }
+}
+
+fn version() -> GapVersion {
+    GapVersion {
+        reference_id: [0xC3, 0x01, 0x02, 0xFE],
+        program: [3, 14],
     }
 }
 
 #[test]
 fn status_has_the_bytes_computed_by_hand() {
-    // Age 3 in the high nibble; state 3 + stored 8 + reason 2 in the high nibble; 1.0 = 50.
-    let bytes = [0, 0x30, 0x2B, 50, 1, 254, 255, 127];
+    // Age 3 in the high nibble; state 3 + stored 8 + cause 6 in the high nibble; reason 2; 1.0 = 50; a quarter = 50.
+    let bytes = [0, 0x30, 0x6B, 2, 50, 254, 50, 127];
     assert_eq!(status().to_bytes(), bytes);
     assert_eq!(GapStatus::from_bytes(&bytes), Ok(status()));
 }
 
 #[test]
 fn health_has_the_bytes_computed_by_hand() {
-    let bytes = [0, 0x10, 40, 3, 12, 255, 200, 0xC3];
+    let bytes = [0, 0x10, 40, 3, 12, 255, 200, 168];
     assert_eq!(health().to_bytes(), bytes);
     assert_eq!(GapHealth::from_bytes(&bytes), Ok(health()));
+}
+
+#[test]
+fn version_has_the_bytes_computed_by_hand() {
+    // The first number of the program's version in the high nibble; the reference in the order of its hash.
+    let bytes = [0, 0x30, 2, 0xC3, 0x01, 0x02, 0xFE, 14];
+    assert_eq!(version().to_bytes(), bytes);
+    assert_eq!(GapVersion::from_bytes(&bytes), Ok(version()));
+    let later = GapVersion {
+        program: [16, 255],
+        ..version()
+    };
+    assert_eq!(later.to_bytes()[1..3], [0xF0, 2]);
+    assert_eq!(later.to_bytes()[7], 255);
+}
+
+#[test]
+fn the_version_is_that_of_the_dbc_and_any_other_is_refused() {
+    let dbc = include_str!("../gapwatch.dbc");
+    assert!(dbc.starts_with(&format!("VERSION \"{DBC_VERSION}\"\n")));
+    for other in [0, 1, 3, 255] {
+        let mut bytes = version().to_bytes();
+        bytes[2] = other;
+        let refused = GapVersion::from_bytes(&bytes).unwrap_err();
+        assert_eq!((refused.signal, refused.code), ("DbcVersion", other));
+    }
+}
+
+#[test]
+fn of_this_program_is_its_own_version() {
+    let [major, minor] = GapVersion::of_this_program([1, 2, 3, 4]).program;
+    assert!(env!("CARGO_PKG_VERSION").starts_with(&format!("{major}.{minor}.")));
+}
+
+/// A frame of version 1: state 3 and stored bit as now, its reason (2) where the cause is now, its score (1.0 = 50)
+/// where the reason is now, then three scores of taps.
+const VERSION_1: [u8; 8] = [0, 0x30, 0x2B, 50, 50, 40, 30, 127];
+
+#[test]
+fn a_frame_of_version_1_is_not_taken_for_one_of_version_2_when_its_score_is_no_reason() {
+    let refused = GapStatus::from_bytes(&VERSION_1).unwrap_err();
+    assert_eq!((refused.signal, refused.code), ("Reason", 50));
+    // A low score looks like a reason: only the missing GapVersion tells that the frame is of version 1.
+    let mut low = VERSION_1;
+    low[3] = 5;
+    let misread = GapStatus::from_bytes(&low).unwrap();
+    assert_eq!(
+        (misread.state, misread.reason),
+        (AlarmState::Gap, Reason::Uniform)
+    );
+}
+
+#[test]
+fn what_a_receiver_of_version_1_reads_of_state_stored_bit_age_and_debounce_is_right() {
+    for (state, code) in STATES {
+        let bytes = GapStatus { state, ..status() }.to_bytes();
+        // The places of version 1.
+        assert_eq!(bytes[1] >> 4, 3, "age");
+        assert_eq!((bytes[2] & 7, bytes[2] >> 3 & 1), (code, 1));
+        assert_eq!(bytes[7], 127);
+        // Its score is at most that of the largest reason, 0.3, and therefore never an alarm.
+        assert!(
+            REASONS
+                .iter()
+                .all(|&(_, reason)| f64::from(reason) * SCORE_STEP < 0.31)
+        );
+    }
 }
 
 #[test]
@@ -87,8 +178,34 @@ fn every_state_and_reason_has_its_code_and_comes_back() {
     }
     for (reason, code) in REASONS {
         let bytes = GapStatus { reason, ..status() }.to_bytes();
-        assert_eq!(bytes[2] >> 4, code);
+        assert_eq!(bytes[3], code);
         assert_eq!(GapStatus::from_bytes(&bytes).unwrap().reason, reason);
+    }
+}
+
+#[test]
+fn every_cause_has_its_code_and_comes_back() {
+    assert_eq!(CAUSES.map(|(cause, _)| cause), Cause::ALL);
+    for (cause, code) in CAUSES {
+        let cause = Some(cause);
+        let bytes = GapStatus { cause, ..status() }.to_bytes();
+        assert_eq!(bytes[2] >> 4, code);
+        assert_eq!(GapStatus::from_bytes(&bytes).unwrap().cause, cause);
+    }
+}
+
+#[test]
+fn no_cause_is_none_while_the_road_is_ok_and_not_available_otherwise() {
+    for (state, _) in STATES {
+        let sent = GapStatus {
+            state,
+            cause: None,
+            ..status()
+        };
+        let bytes = sent.to_bytes();
+        let wanted = if state == AlarmState::Ok { 0 } else { 15 };
+        assert_eq!(bytes[2] >> 4, wanted, "{state:?}");
+        assert_eq!(GapStatus::from_bytes(&bytes), Ok(sent));
     }
 }
 
@@ -99,8 +216,20 @@ fn codes_without_a_meaning_are_refused() {
         let refused = with_byte_2(code).unwrap_err();
         assert_eq!((refused.signal, refused.code), ("State", code));
     }
-    let refused = with_byte_2(15 << 4).unwrap_err();
-    assert_eq!((refused.signal, refused.code), ("Reason", 15));
+    for code in [13, 14] {
+        let refused = with_byte_2(code << 4).unwrap_err();
+        assert_eq!((refused.signal, refused.code), ("Cause", code));
+    }
+    for code in [16, 254, 255] {
+        let refused = GapStatus::from_bytes(&[0, 0, 0, code, 0, 0, 0, 0]).unwrap_err();
+        assert_eq!((refused.signal, refused.code), ("Reason", code));
+    }
+    for code in [201, 254] {
+        let refused = GapStatus::from_bytes(&[0, 0, 0, 0, 0, 0, code, 0]).unwrap_err();
+        assert_eq!((refused.signal, refused.code), ("Lanes", code));
+    }
+    let refused = GapHealth::from_bytes(&[0, 0, 0, 0, 0, 0, 0, 201]).unwrap_err();
+    assert_eq!((refused.signal, refused.code), ("CauseProbability", 201));
     let refused = GapHealth::from_bytes(&[0, 0, 0, 255, 0, 0, 0, 0]).unwrap_err();
     assert_eq!((refused.signal, refused.code), ("DroppedFrames", 255));
     let refused = GapHealth::from_bytes(&[0, 0xE0, 0, 0, 0, 0, 0, 0]).unwrap_err();
@@ -148,6 +277,18 @@ fn numbers_out_of_range_saturate() {
     };
     assert_eq!(full.to_bytes()[2..4], [254, 254]);
     assert_eq!(full.to_bytes()[6], 200);
+    let beyond = GapStatus {
+        change: Some(f64::INFINITY),
+        lanes: Some(1.5),
+        ..status()
+    };
+    assert_eq!(beyond.to_bytes()[5..7], [254, 200]);
+    let unknown = GapStatus {
+        change: None,
+        lanes: Some(f64::NAN),
+        ..status()
+    };
+    assert_eq!(unknown.to_bytes()[5..7], [255, 255]);
 }
 
 #[test]
@@ -178,18 +319,10 @@ fn steps_and_codes_are_those_of_the_dbc() {
         generated::GapStatusFrameAge::NotAvailable
     );
     assert_eq!(status.score(), generated::GapStatusScore::NotAvailable);
-    assert_eq!(
-        status.score_tap1(),
-        generated::GapStatusScoreTap1::NotAvailable
-    );
-    assert_eq!(
-        status.score_tap2(),
-        generated::GapStatusScoreTap2::NotAvailable
-    );
-    assert_eq!(
-        status.score_tap3(),
-        generated::GapStatusScoreTap3::NotAvailable
-    );
+    assert_eq!(status.cause(), generated::GapStatusCause::NotAvailable);
+    assert_eq!(status.reason(), generated::GapStatusReason::NotAvailable);
+    assert_eq!(status.change(), generated::GapStatusChange::NotAvailable);
+    assert_eq!(status.lanes(), generated::GapStatusLanes::NotAvailable);
     assert_eq!(
         health.frame_rate(),
         generated::GapHealthFrameRate::NotAvailable
@@ -209,6 +342,10 @@ fn steps_and_codes_are_those_of_the_dbc() {
     assert_eq!(
         health.window_fill(),
         generated::GapHealthWindowFill::NotAvailable
+    );
+    assert_eq!(
+        health.cause_probability(),
+        generated::GapHealthCauseProbability::NotAvailable
     );
 
     let close = |physical: f32, ours: f64| assert!((f64::from(physical) - ours).abs() < 1e-5);
@@ -232,8 +369,22 @@ fn steps_and_codes_are_those_of_the_dbc() {
     match health.window_fill() {
         // It is per cent in the DBC and a share here.
         generated::GapHealthWindowFill::_Other(percent) => {
-            close(percent, 200.0 * WINDOW_FILL_STEP * 100.0);
+            close(percent, 200.0 * SHARE_STEP * 100.0);
         }
+        other => panic!("{other:?}"),
+    }
+    match health.cause_probability() {
+        generated::GapHealthCauseProbability::_Other(percent) => {
+            close(percent, 200.0 * SHARE_STEP * 100.0);
+        }
+        other => panic!("{other:?}"),
+    }
+    match status.change() {
+        generated::GapStatusChange::_Other(change) => close(change, 200.0 * SCORE_STEP),
+        other => panic!("{other:?}"),
+    }
+    match status.lanes() {
+        generated::GapStatusLanes::_Other(percent) => close(percent, 200.0 * SHARE_STEP * 100.0),
         other => panic!("{other:?}"),
     }
 }
@@ -245,7 +396,9 @@ proptest! {
         (reason, _) in proptest::sample::select(&REASONS),
         gap_stored: bool,
         score in proptest::option::of(proptest::num::f64::ANY),
-        tap in proptest::option::of(0.0..5.08),
+        cause in proptest::option::of(proptest::sample::select(&Cause::ALL)),
+        change in proptest::option::of(0.0..5.08),
+        lanes in proptest::option::of(0.0..=1.0),
         fault_detection_counter: i8,
         age_ms in proptest::option::of(0u64..3000),
     ) {
@@ -253,8 +406,10 @@ proptest! {
             state,
             reason,
             gap_stored,
+            cause,
             score,
-            block_scores: [tap, None, tap],
+            change,
+            lanes,
             fault_detection_counter,
             frame_age: age_ms.map(Duration::from_millis),
         };
@@ -268,8 +423,12 @@ proptest! {
         prop_assert_eq!(read.fault_detection_counter, fault_detection_counter);
         prop_assert_eq!(read.frame_age.is_some(), sent.frame_age.is_some());
         prop_assert_eq!(read.score.is_some(), score.is_some_and(|s| !s.is_nan()));
-        if let (Some(read), Some(sent)) = (read.block_scores[2], tap) {
-            prop_assert!((read - sent).abs() <= SCORE_STEP / 2.0 + 1e-9);
+        prop_assert_eq!(read.cause, cause);
+        for (read, sent, step) in [(read.change, change, SCORE_STEP), (read.lanes, lanes, SHARE_STEP)] {
+            prop_assert_eq!(read.is_some(), sent.is_some());
+            if let (Some(read), Some(sent)) = (read, sent) {
+                prop_assert!((read - sent).abs() <= step / 2.0 + 1e-9);
+            }
         }
         prop_assert_eq!(read.to_bytes(), bytes);
     }
@@ -278,6 +437,7 @@ proptest! {
     fn any_bytes_are_read_or_refused_and_never_panic(bytes: [u8; 8]) {
         let _ = GapStatus::from_bytes(&bytes);
         let _ = GapHealth::from_bytes(&bytes);
+        let _ = GapVersion::from_bytes(&bytes);
         let _ = ClearRequest::from_bytes(&bytes);
     }
 }

@@ -15,7 +15,9 @@ fn status(state: AlarmState) -> GapStatus {
         reason: Reason::None,
         gap_stored: false,
         score: Some(0.5),
-        block_scores: [Some(0.5), None, None],
+        cause: None,
+        change: None,
+        lanes: None,
         fault_detection_counter: -128,
         frame_age: Some(Duration::ZERO),
     }
@@ -29,7 +31,12 @@ const HEALTH: GapHealth = GapHealth {
     latency_p50: None,
     latency_p99: None,
     window_fill: Some(1.0),
-    reference_id: 7,
+    cause_probability: None,
+};
+
+const VERSION: GapVersion = GapVersion {
+    reference_id: [7, 8, 9, 10],
+    program: [0, 1],
 };
 
 /// Keeps the frames, and can be set to refuse them for a while.
@@ -289,6 +296,47 @@ fn frames_of_both_messages_come_in_the_order_of_time() {
 }
 
 #[test]
+fn the_version_comes_once_at_the_start_and_then_in_its_own_cycle() {
+    for live in [false, true] {
+        let mut sender = if live { sender().live() } else { sender() };
+        let mut bus = Bus::default();
+        for now in (0..=3_000).step_by(10) {
+            sender.update(ms(now), &status(Fine));
+            sender.update_version(ms(now), &VERSION);
+            sender.poll(ms(now), &mut bus).unwrap();
+        }
+        let times: Vec<u128> = bus.of(0x5D3).map(|(at, _)| at.as_millis()).collect();
+        assert_eq!(times, [0, 1_000, 2_000, 3_000]);
+        assert_eq!(bus.counters(0x5D3), [0, 1, 2, 3]);
+        let mut receiver = E2eReceiver::new(0x5D3);
+        for (_, data) in bus.of(0x5D3) {
+            receiver.check(data).unwrap();
+            assert_eq!(GapVersion::from_bytes(data), Ok(VERSION));
+        }
+        // What the car must know first is sent first.
+        assert_eq!(bus.taken[0].1.id, 0x5D0);
+        assert_eq!(bus.taken[1].1.id, 0x5D3);
+    }
+}
+
+#[test]
+fn a_version_that_is_refused_waits_and_is_sent_once() {
+    let (mut sender, mut bus) = (sender().live(), Bus::default());
+    sender.update_version(ms(0), &VERSION);
+    bus.refuses = true;
+    for now in (0..=2_500).step_by(10) {
+        assert!(sender.poll(ms(now), &mut bus).is_err());
+        assert!(sender.is_waiting());
+    }
+    bus.refuses = false;
+    sender.poll(ms(2_510), &mut bus).unwrap();
+    assert!(!sender.is_waiting());
+    assert_eq!(bus.counters(0x5D3), [0]);
+    // Those of 1 s and 2 s became due while the first one waited.
+    assert_eq!(sender.counts().dropped, 2);
+}
+
+#[test]
 fn steps_of_the_replay_do_not_change_the_frames() {
     let updates = [
         (0, Init),
@@ -393,13 +441,14 @@ proptest! {
             now += ms(step);
             sender.update(now, &status(states[state]));
             sender.update_health(now, &HEALTH);
+            sender.update_version(now, &VERSION);
             let _ = sender.poll(now, &mut bus);
         }
         bus.refuses = false;
         sender.poll(now + ms(500), &mut bus).unwrap();
 
         prop_assert!(bus.taken.is_sorted_by_key(|(at, _)| *at));
-        for (id, data_id) in [(0x5D0, 0x5D0), (0x5D1, 0x5D1)] {
+        for (id, data_id) in [(0x5D0, 0x5D0), (0x5D1, 0x5D1), (0x5D3, 0x5D3)] {
             let mut receiver = E2eReceiver::new(data_id);
             for (n, (_, data)) in bus.of(id).enumerate() {
                 let wanted = if n == 0 { Sequence::First } else { Sequence::Next };

@@ -70,13 +70,13 @@ pub fn check(board: &Board) -> Vec<Check> {
         Some(id) => Check::fail(
             "bus",
             format!("socketcan:{name}: another node sends our CAN id {id:#X}"),
-            "stop that node (is a monitor running?), or set status or health in [can]",
+            "stop that node (is a monitor running?), or give this message another id in [can]",
         ),
         None => Check::pass(
             "bus",
             format!(
-                "socketcan:{name} is up, controller {:?}; {:#X} and {:#X} are free",
-                state, ids.status.id, ids.health.id
+                "socketcan:{name} is up, controller {:?}; {:#X}, {:#X} and {:#X} are free",
+                state, ids.status.id, ids.health.id, ids.version.id
             ),
         ),
     }];

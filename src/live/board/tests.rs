@@ -34,10 +34,31 @@ fn words_are_read_and_paths_taken_from_the_folder_of_the_board() {
     let ids = |id, data_id| MessageIds { id, data_id };
     assert_eq!(board.can.settings.status, ids(0x123, 0x123));
     assert_eq!(board.can.settings.clear, ids(0x124, 7));
+    // A board from before GapVersion has its default.
+    assert_eq!(board.can.settings.version, ids(0x5D3, 0x5D3));
+    assert_eq!(board.can.settings.version_period, Duration::from_secs(1));
     assert_eq!(board.can.settings.status_period, Duration::from_millis(50));
     assert_eq!(board.camera.wish.size, Some((1280, 720)));
     assert!(board.monitor.reference.unwrap().ends_with("town.json"));
     assert!(board.monitor.strict);
+}
+
+#[test]
+fn the_version_has_identifiers_and_a_cycle_like_the_other_messages() {
+    let text = format!("{LEAST}version = {{ id = 0x125, data_id = 9 }}\nversion_period_ms = 500\n");
+    let settings = read(&text).unwrap().can.settings;
+    let (id, data_id) = (0x125, 9);
+    assert_eq!(settings.version, MessageIds { id, data_id });
+    assert_eq!(settings.version_period, Duration::from_millis(500));
+    // A board that gave its default to another message says what must be changed.
+    let taken = format!("{LEAST}clear = {{ id = 0x5D3 }}\n");
+    let said = read(&taken).unwrap_err();
+    assert!(
+        said.contains("0x5D3 is given to two messages, version and clear"),
+        "{said}"
+    );
+    let text = format!("{taken}version = {{ id = 0x5D8 }}\n");
+    assert_eq!(read(&text).unwrap().can.settings.version.id, 0x5D8);
 }
 
 #[test]
