@@ -10,7 +10,7 @@ use gapwatch::calibration::shard::Shard;
 use gapwatch::calibration::survey::store::{SurveyKind, SurveyStore};
 use gapwatch::calibration::survey::{Keep, Survey};
 use gapwatch::can::e2e::{E2eReceiver, E2eSender};
-use gapwatch::can::message::{ClearRequest, GapHealth, GapStatus};
+use gapwatch::can::message::{ClearRequest, GapHealth, GapStatus, GapVersion};
 use gapwatch::can::receiver::{Heard, Receiver};
 use gapwatch::can::speed::SpeedSignal;
 use gapwatch::can::{CanFrame, CanSettings};
@@ -320,12 +320,12 @@ fn source_names() -> Target {
 fn journals() -> Target {
     let line = |n: u32, state: &str, score: &str| {
         format!(
-            "{{\"t_s\":{}.1,\"seq\":{n},\"state\":\"{state}\",\"reason\":\"\",\"score\":{score},\"gap\":{{\"e2\":0.5}},\
+            "{{\"t_s\":{}.1,\"seq\":{n},\"state\":\"{state}\",\"reason\":\"\",\"score\":{score},\"change\":{score},\"lanes\":0.25,\"cause\":\"fog\",\"cause_probability\":0.5,\"gap\":{{\"e2\":0.5}},\
              \"similarity\":{{\"e2\":null}},\"health\":\"ok\",\"latency_ms\":5.5}}\n",
             n / 10
         )
     };
-    let first = "{\"gapwatch_journal\":2,\"began\":{\"utc\":\"\",\"is_set\":true,\"monotonic_s\":7.5},\"about\":{\"source\":\"s\"}}\n";
+    let first = "{\"gapwatch_journal\":3,\"began\":{\"utc\":\"\",\"is_set\":true,\"monotonic_s\":7.5},\"about\":{\"source\":\"s\"}}\n";
     let lines = line(0, "Init", "null") + &line(1, "Ok", "0.5") + &line(2, "Gap", "7.25");
     let seed = first.to_owned() + &lines;
     file("drive.jsonl", vec![seed.into_bytes()], |path| {
@@ -375,9 +375,10 @@ fn bus() -> Target {
             for frame in frames.chunks_exact(9) {
                 let mut data = [0; 8];
                 data.copy_from_slice(&frame[1..]);
-                let id = [0x5D0, 0x5D1, 0x5D8, 0x1A0, 0x7FF][usize::from(frame[0]) % 5];
+                let id = [0x5D0, 0x5D1, 0x5D8, 0x1A0, 0x7FF, 0x5D3][usize::from(frame[0]) % 6];
                 let heard = receiver.hear(&CanFrame { id, data });
                 let _ = (GapStatus::from_bytes(&data), GapHealth::from_bytes(&data));
+                let _ = GapVersion::from_bytes(&data);
                 all &= match heard {
                     Some(Heard::Foreign(0x5D0)) => checker.check(&data).is_ok(),
                     Some(Heard::Standing(_) | Heard::Clear) => true,

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
+use crate::monitor::cause::Cause;
 use crate::monitor::profile::TapProfile;
 
 /// The file of an event that describes its other files.
@@ -28,8 +29,20 @@ pub struct Moment {
     pub state: String,
     /// The reason for the state.
     pub reason: String,
-    /// The largest score of the blocks.
+    /// The largest of all evidence.
     pub score: Option<f64>,
+    /// How far the road differs from its own past, if this is known.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub change: Option<f64>,
+    /// Forecast of the share of lanes that the model loses, 0..1, if there is one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub lanes: Option<f64>,
+    /// What most likely causes the evidence, if anything is known of it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub cause: Option<Cause>,
+    /// How likely the cause is, 0..1.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub cause_probability: Option<f64>,
     /// File of the frame.
     pub frame: String,
     /// Files of the heat maps by tap; most moments have none.

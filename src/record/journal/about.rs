@@ -7,7 +7,7 @@ use crate::reference::{FalseAlarms, NominalDrives, Reference};
 use crate::statistics::event_rate::Hours;
 
 /// Version of the format.
-pub const VERSION: u64 = 2;
+pub const VERSION: u64 = 3;
 
 /// The first line.
 #[derive(Serialize)]

@@ -12,6 +12,7 @@ use serde_json::{Map, Value};
 use super::about::{About, VERSION};
 use crate::capture::clock::ClockTime;
 use crate::monitor::alarm::AlarmState;
+use crate::monitor::cause::{Cause, LikelyCause};
 
 /// Longest line that is read: a thousand times a usual one.
 const LINE_MAX: u64 = 1 << 20;
@@ -78,8 +79,14 @@ pub struct Entry {
     pub state: AlarmState,
     /// The reason for the state, with the journal's word.
     pub reason: String,
-    /// The largest score of the blocks; `None` when the frame was not judged.
+    /// The largest of all evidence; `None` when the frame was not judged.
     pub score: Option<f64>,
+    /// How far the road differs from its own past; `None` when this is not known.
+    pub change: Option<f64>,
+    /// Forecast of the share of lanes that the model loses, 0..1; `None` when there is no forecast.
+    pub lanes: Option<f64>,
+    /// What most likely causes the evidence; `None` when nothing is known of it.
+    pub cause: Option<LikelyCause>,
     /// Gap by tap.
     pub gap: BTreeMap<String, Option<f64>>,
     /// Similarity by tap.
@@ -196,7 +203,7 @@ fn version(first: &Map<String, Value>) -> Result<u64, Mismatch> {
         None if first.contains_key("t_s") => Ok(1),
         None => Err((
             "no \"gapwatch_journal\"".to_owned(),
-            "the first line of a journal, {\"gapwatch_journal\": 2, …}".to_owned(),
+            format!("the first line of a journal, {{\"gapwatch_journal\": {VERSION}, …}}"),
         )),
     }
 }
@@ -231,9 +238,12 @@ fn entry(object: &Map<String, Value>) -> Result<Entry, Mismatch> {
         let number = number.as_u64();
         number.ok_or_else(|| mismatch(object, "seq", "a whole number or null"))
     };
-    let score = |number: &Value| {
-        let number = number.as_f64();
-        number.ok_or_else(|| mismatch(object, "score", "a number or null"))
+    let number = |key: &str| match given(object, key) {
+        None => Ok(None),
+        Some(number) => match number.as_f64() {
+            Some(number) => Ok(Some(number)),
+            None => Err(mismatch(object, key, "a number or null")),
+        },
     };
     Ok(Entry {
         t_s: from_0("t_s")?.ok_or_else(|| mismatch(object, "t_s", "a number not below 0"))?,
@@ -242,13 +252,44 @@ fn entry(object: &Map<String, Value>) -> Result<Entry, Mismatch> {
         state: state
             .ok_or_else(|| mismatch(object, "state", &STATES.map(AlarmState::name).join(", ")))?,
         reason: given(object, "reason").map_or(Ok("none".to_owned()), |_| text("reason"))?,
-        score: given(object, "score").map(score).transpose()?,
+        score: number("score")?,
+        change: number("change")?,
+        lanes: share(object, "lanes")?,
+        cause: likely_cause(object)?,
         gap: per_tap(object, "gap")?,
         similarity: per_tap(object, "similarity")?,
         tap_score: per_tap(object, "tap_score")?,
         health: given(object, "health").map_or(Ok("ok".to_owned()), |_| text("health"))?,
         latency_ms: from_0("latency_ms")?.unwrap_or_default(),
     })
+}
+
+/// A share of 1, if the line has it.
+fn share(object: &Map<String, Value>, key: &str) -> Result<Option<f64>, Mismatch> {
+    let Some(share) = given(object, key) else {
+        return Ok(None);
+    };
+    match share.as_f64().filter(|share| (0.0..=1.0).contains(share)) {
+        Some(share) => Ok(Some(share)),
+        None => Err(mismatch(object, key, "a number from 0 to 1")),
+    }
+}
+
+/// A cause with its probability, if the line has one.
+fn likely_cause(object: &Map<String, Value>) -> Result<Option<LikelyCause>, Mismatch> {
+    let Some(name) = given(object, "cause") else {
+        return Ok(None);
+    };
+    let cause = name.as_str().and_then(|name| name.parse().ok());
+    let probability = share(object, "cause_probability")?;
+    Ok(Some(LikelyCause {
+        cause: cause
+            .ok_or_else(|| mismatch(object, "cause", &Cause::ALL.map(Cause::name).join(", ")))?,
+        probability: probability.ok_or_else(|| {
+            let found = "a cause without \"cause_probability\"".to_owned();
+            (found, "a number from 0 to 1".to_owned())
+        })?,
+    }))
 }
 
 /// One number for each tap; empty if the line does not have them.
@@ -302,10 +343,14 @@ fn shown(text: &str) -> String {
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used, clippy::float_cmp)]
-    use super::*;
+    use std::time::Duration;
 
-    const FIRST: &str = r#"{"gapwatch_journal":2,"began":{"utc":"2026-01-02T03:04:05.678Z","is_set":true,"monotonic_s":7.5},"about":{"source":"s"}}"#;
-    const LINE: &str = r#"{"t_s":0.5,"captured_s":0.49,"seq":5,"state":"Ok","reason":"none","score":0.25,"gap":{"e2":0.1,"e3":null},"similarity":{"e2":0.9,"e3":null},"health":"ok","latency_ms":3.5}"#;
+    use super::*;
+    use crate::monitor::judge::Verdict;
+    use crate::record::journal::Journal;
+
+    const FIRST: &str = r#"{"gapwatch_journal":3,"began":{"utc":"2026-01-02T03:04:05.678Z","is_set":true,"monotonic_s":7.5},"about":{"source":"s"}}"#;
+    const LINE: &str = r#"{"t_s":0.5,"captured_s":0.49,"seq":5,"state":"Ok","reason":"none","score":0.25,"change":-0.5,"lanes":0.75,"cause":"another-road","cause_probability":0.875,"gap":{"e2":0.1,"e3":null},"similarity":{"e2":0.9,"e3":null},"health":"ok","latency_ms":3.5}"#;
 
     fn reading(text: &str) -> Result<Reading, String> {
         let folder = tempfile::tempdir().unwrap();
@@ -322,6 +367,12 @@ mod tests {
         assert_eq!((entry.t_s, entry.captured_s), (0.5, Some(0.49)));
         assert_eq!(entry.sequence, Some(5));
         assert_eq!((entry.state, entry.score), (AlarmState::Ok, Some(0.25)));
+        assert_eq!((entry.change, entry.lanes), (Some(-0.5), Some(0.75)));
+        let likely = LikelyCause {
+            cause: Cause::AnotherRoad,
+            probability: 0.875,
+        };
+        assert_eq!(entry.cause, Some(likely));
         assert_eq!((entry.gap["e2"], entry.gap["e3"]), (Some(0.1), None));
         assert!(entry.tap_score.is_empty());
         assert_eq!(reading.about.source, "s");
@@ -329,16 +380,48 @@ mod tests {
     }
 
     #[test]
+    fn what_is_written_of_a_verdict_is_read_back() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("j.jsonl");
+        let (began, about) = (ClockTime::default(), About::default());
+        let mut journal = Journal::create(&path, &[], &began, &about).unwrap();
+        let verdicts = Cause::ALL.map(|cause| Verdict {
+            score: Some(1.25),
+            change: Some(1.25),
+            lanes: Some(1.0),
+            cause: Some(LikelyCause {
+                cause,
+                probability: 0.1,
+            }),
+            ..Verdict::nothing_yet()
+        });
+        for verdict in &verdicts {
+            let now = Duration::ZERO;
+            journal.add(now, verdict, now).unwrap();
+        }
+        journal.finish().unwrap();
+        let entries = read(&path).unwrap().entries;
+        assert_eq!(entries.len(), verdicts.len());
+        for (entry, verdict) in entries.iter().zip(&verdicts) {
+            assert_eq!(
+                (entry.score, entry.change, entry.lanes, entry.cause),
+                (verdict.score, verdict.change, verdict.lanes, verdict.cause)
+            );
+        }
+    }
+
+    #[test]
     fn what_a_line_does_not_say_may_be_left_out_or_null() {
         let short = r#"{"t_s":1,"state":"Unavailable"}"#;
-        let nulls = r#"{"t_s":2,"captured_s":null,"seq":null,"state":"Init","reason":null,"score":null,"gap":null,"health":null,"latency_ms":null,"later":1}"#;
-        let first = r#"{"gapwatch_journal":2}"#;
+        let nulls = r#"{"t_s":2,"captured_s":null,"seq":null,"state":"Init","reason":null,"score":null,"change":null,"lanes":null,"cause":null,"cause_probability":null,"gap":null,"health":null,"latency_ms":null,"later":1}"#;
+        let first = r#"{"gapwatch_journal":3}"#;
         let reading = reading(&format!("{first}\n{short}\n{nulls}\n")).unwrap();
         for entry in &reading.entries {
             assert_eq!(
                 (entry.captured_s, entry.sequence, entry.score),
                 (None, None, None)
             );
+            assert_eq!((entry.change, entry.lanes, entry.cause), (None, None, None));
             assert_eq!(
                 (entry.reason.as_str(), entry.health.as_str()),
                 ("none", "ok")
@@ -364,10 +447,15 @@ mod tests {
     fn a_journal_of_another_version_is_refused_with_what_would_do() {
         for (text, found) in [
             (format!("{LINE}\n"), "found version 1;"),
-            (FIRST.replace(":2,", ":3,") + "\n", "found version 3;"),
+            (FIRST.replace(":3,", ":2,") + "\n", "found version 2;"),
+            (FIRST.replace(":3,", ":4,") + "\n", "found version 4;"),
         ] {
             let said = reading(&text).unwrap_err();
             assert!(said.contains(found) && said.contains("again"), "{said}");
+            assert!(
+                said.contains("wanted version 3") && !said.contains('\n'),
+                "{said}"
+            );
         }
     }
 
@@ -379,8 +467,8 @@ mod tests {
             (String::new(), ["found no line", "wanted at least one"]),
             ("{}\n".to_owned(), ["line 1", "the first line of a journal"]),
             (
-                FIRST.replace(":2,", ":\"2\",") + "\n",
-                ["line 1: found gapwatch_journal", "wanted 2"],
+                FIRST.replace(":3,", ":\"3\",") + "\n",
+                ["line 1: found gapwatch_journal", "wanted 3"],
             ),
             (
                 FIRST.replace("{\"source\":\"s\"}", "7") + "\n",
@@ -405,6 +493,23 @@ mod tests {
             (
                 second("0.25", "\"high\""),
                 ["score: \\\"high\\\"", "a number or null"],
+            ),
+            (
+                second("-0.5", "\"much\""),
+                ["change: \\\"much\\\"", "a number or null"],
+            ),
+            (second("0.75", "1.5"), ["lanes: 1.5", "from 0 to 1"]),
+            (
+                second("another-road", "fogg"),
+                ["cause: \\\"fogg\\\"", "wanted fog, night"],
+            ),
+            (
+                second(",\"cause_probability\":0.875", ""),
+                ["a cause without \"cause_probability\"", "from 0 to 1"],
+            ),
+            (
+                second("0.875", "-0.5"),
+                ["cause_probability: -0.5", "from 0 to 1"],
             ),
             (second("null", "[]"), ["gap: {", "each tap"]),
             (

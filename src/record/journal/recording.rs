@@ -24,9 +24,10 @@ use super::line::Line;
 use super::writing::JournalError;
 use crate::capture::{Frame, jpeg};
 use crate::files::whole_file::WholeFile;
+use crate::monitor::cause::Cause;
 use crate::monitor::judge::Verdict;
 
-/// The journal's line as a schema; the taps are added to its objects.
+/// The journal's line as a schema; the taps are added to its objects, and the causes to its list.
 const VERDICT_SCHEMA: &str = include_str!("verdict.schema.json");
 /// The objects of a line that have one number for each tap.
 const PER_TAP: [&str; 3] = ["gap", "similarity", "tap_score"];
@@ -201,7 +202,7 @@ fn io_error(error: McapError) -> io::Error {
     }
 }
 
-/// The schema of verdicts, with the names of the taps, because viewers offer what a schema names.
+/// The schema of verdicts, with the names of the taps and causes, because viewers offer what a schema names.
 fn verdict_schema(taps: &[String]) -> io::Result<Vec<u8>> {
     let mut schema: Value = serde_json::from_str(VERDICT_SCHEMA)?;
     for object in PER_TAP {
@@ -210,6 +211,7 @@ fn verdict_schema(taps: &[String]) -> io::Result<Vec<u8>> {
                 serde_json::json!({ "type": "number" });
         }
     }
+    schema["properties"]["cause"]["enum"] = Cause::ALL.map(Cause::name).as_slice().into();
     Ok(serde_json::to_vec(&schema)?)
 }
 

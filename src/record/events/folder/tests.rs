@@ -6,6 +6,7 @@ use std::os::unix::fs::symlink;
 
 use super::super::{Moment, read};
 use super::*;
+use crate::monitor::cause::Cause;
 
 const DAY: Duration = Duration::from_secs(86_400);
 /// A day of 2026.
@@ -31,6 +32,10 @@ fn event(t_s: u32) -> Event {
         state: "Gap".to_owned(),
         reason: "abrupt".to_owned(),
         score: Some(2.5),
+        change: Some(0.5),
+        lanes: None,
+        cause: Some(Cause::Fog),
+        cause_probability: Some(0.75),
         frame: "frame.jpg".to_owned(),
         heat: BTreeMap::new(),
         profiles: Vec::new(),

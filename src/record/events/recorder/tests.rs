@@ -4,6 +4,7 @@ use super::*;
 use crate::capture::Picture;
 use crate::features::attention::EnergyMap;
 use crate::monitor::alarm::Reason;
+use crate::monitor::cause::{Cause, LikelyCause};
 use crate::monitor::profile::ProfileKind;
 use crate::monitor::profile::TapProfile;
 use std::fs;
@@ -28,16 +29,15 @@ fn offer(recorder: &mut EventRecorder, tenth: u64, state: AlarmState) {
         sequence: Some(tenth),
         state,
         reason: Reason::None,
-        undefined: None,
         score: Some(1.5),
-        quality: None,
-        window_frames: None,
-        nominal_domain: None,
-        drift: None,
-        blocks: heapless::Vec::new(),
+        change: Some(0.5),
+        lanes: Some(0.25),
+        cause: Some(LikelyCause {
+            cause: Cause::Fog,
+            probability: 0.75,
+        }),
         window_fill: Some(1.0),
-        fault_detection_counter: 0,
-        gap_stored: false,
+        ..Verdict::nothing_yet()
     };
     recorder.offer(frame, &verdict, || Look {
         seen: picture(),
@@ -86,6 +86,9 @@ fn an_event_holds_the_frames_around_its_beginning_and_where_the_encoder_looked()
     assert_eq!((moment.t_s, moment.state.as_str()), (5.0, "Suspect"));
     assert_eq!((moment.heat.len(), moment.profiles.len()), (1, 1));
     assert_eq!(moment.profiles[0].live, [0.25, 0.75]);
+    assert_eq!((moment.change, moment.lanes), (Some(0.5), Some(0.25)));
+    let cause = (moment.cause, moment.cause_probability);
+    assert_eq!(cause, (Some(Cause::Fog), Some(0.75)));
     let (first, last) = (&event.moments[0], event.moments.last().unwrap());
     // Two seconds before the suspicion, two after the gap began.
     assert!((2.8..=3.2).contains(&first.t_s), "{}", first.t_s);
