@@ -9,6 +9,8 @@ use gapwatch::monitor::alarm::AlarmState;
 use gapwatch::monitor::judge::Verdict;
 use indicatif::{HumanDuration, ProgressBar, ProgressDrawTarget, ProgressStyle};
 
+use super::state_lines::cause_of_evidence;
+
 /// How often the line changes in a second: as often as it can be read.
 const HZ: u8 = 4;
 /// Time over which the rate is measured.
@@ -105,9 +107,11 @@ fn line(verdict: &Verdict, rate_hz: Option<f64>, age: Duration) -> String {
         Some(score) => format!("score {:>6.2} {}", score + 0.0, score_bar(score)),
         None => format!("no score     {}", " ".repeat(BAR)),
     };
+    let cause = cause_of_evidence(verdict);
+    let cause = cause.map_or_else(String::new, |cause| format!("  {cause}"));
     let rate = rate_hz.map_or_else(|| "  –".to_owned(), |hz| format!("{hz:>3.0}"));
     format!(
-        "{state}  {score}  {rate} frames/s  {:>4} ms old",
+        "{state}  {score}{cause}  {rate} frames/s  {:>4} ms old",
         age.as_millis()
     )
 }
