@@ -11,13 +11,28 @@ const HOSTILE: &str = r#"</script><script>window.hacked=1</script>'\"><img src=x
 
 /// A journal of a drive with a gap, black frames and silence, whose words are made to break out of the page.
 fn hostile_journal() -> String {
-    let line = |t: u32, state: &str, score: Option<f64>| {
+    let line = |t: u32, state: &str, score: Option<f64>, cause: Option<&str>| {
         let number =
             |share: f64| score.map_or("null".to_owned(), |score| (score * share).to_string());
         let health = if score.is_some() { "ok" } else { HOSTILE };
-        let reason = if state == "Ok" { "none" } else { HOSTILE };
+        let reason = match state {
+            "Ok" => "none",
+            "Stopped" => "stopped",
+            _ => HOSTILE,
+        };
+        let state = if state == "Stopped" {
+            "Unavailable"
+        } else {
+            state
+        };
+        let likely = cause.map_or(String::new(), |cause| {
+            format!(
+                r#""change":{},"lanes":0.75,"cause":"{cause}","cause_probability":0.5,"#,
+                number(0.5)
+            )
+        });
         format!(
-            r#"{{"t_s":{t},"seq":{t},"state":"{state}","reason":"{reason}","score":{},"gap":{{"{HOSTILE}":{},"e3":{}}},"similarity":{{"{HOSTILE}":null,"e3":0.5}},"health":"{health}","latency_ms":{t}.25,"tap_score":{{"e3":{},"e2":null}},"later":[1]}}"#,
+            r#"{{"t_s":{t},"seq":{t},"state":"{state}","reason":"{reason}","score":{},{likely}"gap":{{"{HOSTILE}":{},"e3":{}}},"similarity":{{"{HOSTILE}":null,"e3":0.5}},"health":"{health}","latency_ms":{t}.25,"tap_score":{{"e3":{},"e2":null}},"later":[1]}}"#,
             number(1.0),
             number(0.01),
             number(0.02),
@@ -25,24 +40,27 @@ fn hostile_journal() -> String {
         )
     };
     let drive = [
-        ("Init", Some(0.1)),
-        ("Ok", Some(-0.25)),
-        ("Ok", Some(0.5)),
-        ("Suspect", Some(1.5)),
-        ("Gap", Some(7.125)),
-        ("Gap", None),
-        ("SensorFault", None),
-        ("Ok", Some(0.3)),
-        ("Suspect", Some(1.01)),
-        ("Ok", Some(-0.001)),
-        ("Unavailable", None),
+        ("Init", Some(0.1), None),
+        ("Ok", Some(-0.25), None),
+        ("Ok", Some(0.5), None),
+        ("Suspect", Some(1.5), Some("another-road")),
+        ("Gap", Some(7.125), Some("glare")),
+        ("Gap", None, None),
+        ("SensorFault", None, None),
+        ("Ok", Some(0.3), None),
+        ("Suspect", Some(1.01), Some("fog")),
+        ("Ok", Some(-0.001), None),
+        ("Unavailable", None, None),
+        ("Suspect", Some(2.0), None),
+        ("Gap", Some(2.5), Some("night")),
+        ("Stopped", None, None),
     ];
     let lines = drive
         .iter()
         .zip(0..)
-        .map(|((state, score), t)| line(t, state, *score));
+        .map(|((state, score, cause), t)| line(t, state, *score, *cause));
     let first = format!(
-        r#"{{"gapwatch_journal":2,"began":{{"utc":"{HOSTILE}"}},"about":{{"source":"{HOSTILE}"}}}}"#
+        r#"{{"gapwatch_journal":3,"began":{{"utc":"{HOSTILE}"}},"about":{{"source":"{HOSTILE}"}}}}"#
     );
     let lines: Vec<String> = [first].into_iter().chain(lines).collect();
     lines.join("\n") + "\n"
@@ -138,7 +156,7 @@ fn what_is_no_journal_is_refused_and_leaves_nothing_behind() {
         (
             "old",
             "r.html",
-            "journal old: found version 1; wanted version 2",
+            "journal old: found version 1; wanted version 3",
         ),
         ("picture", "r.html", "journal picture, line 1"),
         ("good", "no/such/r.html", "cannot write no/such/r.html"),

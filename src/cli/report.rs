@@ -5,6 +5,7 @@ use std::io::Write;
 use anyhow::{Context, bail};
 use gapwatch::files::whole_file::WholeFile;
 use gapwatch::lab::report::Report;
+use gapwatch::monitor::alarm::AlarmState;
 use gapwatch::record::journal;
 
 use crate::cli::args::ReportArgs;
@@ -28,13 +29,22 @@ pub fn run(args: &ReportArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
     let mut file = WholeFile::create(&args.out).with_context(cannot)?;
     file.write_all(page.as_bytes()).with_context(cannot)?;
     file.finish().with_context(cannot)?;
+    let counted = |states: &[AlarmState], one: &str| match report.count(states) {
+        1 => format!("1 {one}"),
+        count => format!("{count} {one}s"),
+    };
     writeln!(
         out,
-        "{}: {} lines, {:.1} s of drive, {} alarms",
+        "{}: {} lines, {:.1} s of drive, {}, {}, {}",
         args.out.display(),
         report.lines(),
         report.span_s(),
-        report.alarms().len()
+        counted(&[AlarmState::Gap], "alarm"),
+        counted(&[AlarmState::Suspect], "suspicion"),
+        counted(
+            &[AlarmState::SensorFault, AlarmState::Unavailable],
+            "outage"
+        ),
     )?;
     Ok(0)
 }

@@ -8,7 +8,7 @@ import json
 import os
 import sys
 import tempfile
-from itertools import groupby
+from itertools import dropwhile, groupby
 from pathlib import Path
 
 from selenium import webdriver
@@ -46,23 +46,50 @@ def text(page, selector):
     return page.find_element(By.CSS_SELECTOR, selector).text
 
 
+def is_end(line):
+    """The line that says that the monitor stopped."""
+    return line["reason"] == "stopped"
+
+
+def largest(lines, key, shown):
+    values = [line[key] for line in lines if line.get(key) is not None]
+    return shown(max(values)) if values else "–"
+
+
+def cause_of(lines):
+    """The cause with the largest mean probability, over the lines that name one."""
+    named = [line for line in lines if line.get("cause") is not None]
+    sums = {}
+    for line in named:
+        sums[line["cause"]] = sums.get(line["cause"], 0) + line["cause_probability"]
+    if not sums:
+        return "–"
+    cause = max(sums, key=sums.get)
+    return f"{cause} ({100 * sums[cause] / len(named):.0f} %)"
+
+
 def alarms_of(lines):
-    """Alarms as the journal has them: stretches of one kind of trouble."""
+    """Alarms as the journal has them: stretches of one kind of trouble. A gap begins with its first line in Gap."""
     alarms, place = [], 0
-    for kind, stretch in groupby(lines, key=lambda line: KINDS.get(line["state"])):
+    for kind, stretch in groupby(lines, key=lambda line: None if is_end(line) else KINDS.get(line["state"])):
         stretch = list(stretch)
         place += len(stretch)
         if kind:
+            inside = list(dropwhile(lambda line: line["state"] != kind, stretch)) or stretch
+            begin = inside[0]["t_s"]
             scored = [line for line in stretch if line["score"] is not None]
             worst = max(scored, key=lambda line: line["score"], default=None)
             scores = {tap: s for tap, s in ((worst or {}).get("tap_score") or {}).items() if s is not None}
             end = lines[min(place, len(lines) - 1)]["t_s"]
             alarms.append([
                 "Suspect" if all(line["state"] == "Suspect" for line in stretch) else kind,
-                f"{stretch[0]['t_s']:.1f} s",
-                f"{end:.1f} s" + (" (end)" if place == len(lines) else ""),
-                f"{end - stretch[0]['t_s']:.1f} s",
+                f"{begin:.1f} s",
+                f"{end:.1f} s" + (" (end)" if all(map(is_end, lines[place:])) else ""),
+                f"{end - begin:.1f} s",
                 "–" if worst is None else f"{worst['score']:.2f}",
+                largest(stretch, "change", "{:.2f}".format),
+                largest(stretch, "lanes", lambda share: f"{100 * share:.0f} %"),
+                cause_of(inside),
                 max(scores, key=scores.get) if scores else "–",
                 ", ".join(dict.fromkeys(l["reason"] for l in stretch if l["reason"] != "none")) or "–",
             ])
@@ -86,21 +113,28 @@ def check_numbers(page, lines):
     for row in rows:
         cells = [cell.text for cell in row.find_elements(By.TAG_NAME, "td")]
         shares[cells[0].split()[-1]] = cells[1:3]
-    assert set(shares) == {line["state"] for line in lines}, shares
+    assert set(shares) == {line["state"] for line in lines if not is_end(line)}, shares
     for state, (seconds, share) in shares.items():
         wanted = spent.get(state, 0)
         assert (seconds, share) == (f"{wanted:.1f} s", f"{100 * wanted / span:.1f} %"), (state, seconds, share)
 
     unjudged = {}
     for line in lines:
-        if line["score"] is None:
-            unjudged[line["health"]] = unjudged.get(line["health"], 0) + 1
+        if line["score"] is None and not is_end(line):
+            why = line["reason"] if line["health"] == "ok" else line["health"]
+            unjudged[why] = unjudged.get(why, 0) + 1
     said = [item.text for item in page.find_elements(By.CSS_SELECTOR, "#unjudged li")]
     assert sorted(said) == sorted(f"{why}: {count}" for why, count in unjudged.items()), said
 
     drawn = json.loads(page.find_element(By.ID, "data").get_attribute("textContent"))
     assert drawn["t"] == [line["t_s"] for line in lines]
-    assert drawn["score"] == [line["score"] for line in lines]
+    for key in ("score", "change", "lanes"):
+        assert drawn[key] == [line.get(key) for line in lines], key
+    assert drawn["probability"] == [line.get("cause_probability") for line in lines]
+    assert [k if k is None else drawn["causes"][k] for k in drawn["cause"]] == [line.get("cause") for line in lines]
+    titles = [title.get_attribute("textContent") for title in page.find_elements(By.CSS_SELECTOR, "#charts .title")]
+    for title, key in (("Scores", "change"), ("Likely cause", "cause"), ("Lanes lost, forecast, %", "lanes")):
+        assert (title in titles) == any(line.get(key) is not None for line in lines), titles
     for tap in drawn["taps"]:
         assert tap["gap"] == [line["gap"][tap["name"]] for line in lines]
 

@@ -1,4 +1,4 @@
-//! The table of alarms and outages.
+//! The table of alarms, suspicions and outages.
 
 use maud::{Markup, html};
 
@@ -7,7 +7,7 @@ use super::content::{Alarm, Report};
 use super::states::badge;
 use super::table::Column::{Numbers, Words};
 use super::table::head;
-use super::text::{Number, Text};
+use super::text::{Number, Percent, Text};
 
 /// Most alarms in the table.
 pub const ALARMS_MAX: usize = 500;
@@ -17,7 +17,7 @@ pub fn alarms(report: &Report) -> Markup {
     let alarms = report.alarms();
     html! {
         section {
-            h2 { "Alarms and outages" }
+            h2 { "Alarms, suspicions and outages" }
             @if alarms.is_empty() {
                 p { "None." }
             } @else {
@@ -37,7 +37,8 @@ fn table(report: &Report) -> Markup {
         table #alarms {
             (head(&[
                 Words("State"), Numbers("From"), Numbers("To"), Numbers("Lasted"), Numbers("Largest score"),
-                Words("Tap that led"), Words("Reason"),
+                Numbers("Largest change"), Numbers("Lanes lost"), Words("Likely cause"), Words("Tap that led"),
+                Words("Reason"),
             ]))
             tbody {
                 @for (place, alarm) in alarms.enumerate() {
@@ -52,7 +53,7 @@ fn table(report: &Report) -> Markup {
                         (cells(alarm))
                     }
                     tr.behind #(id) hidden {
-                        td colspan="7" { (behind(report, alarm, report.shown.get(&place))) }
+                        td colspan="10" { (behind(report, alarm, report.shown.get(&place))) }
                     }
                 }
             }
@@ -67,6 +68,9 @@ fn cells(alarm: &Alarm) -> Markup {
         td.n { (format_args!("{to_s:.1} s")) @if alarm.open { " (end)" } }
         td.n { (format_args!("{:.1} s", to_s - from_s)) }
         td.n { (Number(alarm.score_max, 2)) }
+        td.n { (Number(alarm.change_max, 2)) }
+        td.n { (Percent(alarm.lanes_max)) }
+        td { @if let Some(cause) = alarm.cause { (cause.to_string()) } @else { "–" } }
         td { @if let Some(tap) = &alarm.leader { (Text(tap)) } @else { "–" } }
         td { @if alarm.reasons.is_empty() { "–" } @else { (Text(&alarm.reasons.join(", "))) } }
     }

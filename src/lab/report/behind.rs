@@ -5,11 +5,11 @@ use base64::engine::general_purpose::STANDARD;
 use maud::{Markup, html};
 
 use super::chart;
-use super::content::{Alarm, Report, Shown, ShownEvent};
+use super::content::{Alarm, Lines, Report, Shown, ShownEvent};
 use super::states::badge;
 use super::table::Column::{Numbers, Words};
 use super::table::head;
-use super::text::{Number, Plain, Text};
+use super::text::{Number, Percent, Plain, Text};
 use crate::record::journal::Entry;
 
 /// Lines shown of an alarm: around its beginning.
@@ -18,13 +18,16 @@ const SHOWN_AFTER: usize = 6;
 
 /// All that is known of an alarm, with what is kept of it.
 pub fn behind(report: &Report, alarm: &Alarm, shown: Option<&ShownEvent>) -> Markup {
-    let (first, _, next) = alarm.lines;
+    let Lines { first, next, .. } = alarm.lines;
     let from = first.saturating_sub(SHOWN_BEFORE);
     let to = (first + SHOWN_AFTER)
         .min(next + 1)
         .min(report.entries.len());
     html! {
         div.closer data-from=(alarm.from_s) data-to=(alarm.to_s) {}
+        @if let Some(suspected_s) = alarm.suspected_s {
+            p { "Suspected since " (format_args!("{suspected_s:.1} s")) "." }
+        }
         @if let Some(shown) = shown { (evidence(shown)) }
         h3 { "By tap" }
         (taps(report, alarm))
@@ -79,12 +82,17 @@ fn list(what: &str, pictures: &[&Shown]) -> Markup {
 }
 
 fn taps(report: &Report, alarm: &Alarm) -> Markup {
-    let (first, worst, _) = alarm.lines;
+    let Lines {
+        suspected,
+        first,
+        worst,
+        ..
+    } = alarm.lines;
     let gap = |line: Option<&Entry>, tap: &str| {
         let gap = line.and_then(|line| line.gap.get(tap).copied().flatten());
         Number(gap, 4)
     };
-    let before = first.checked_sub(1).map(|line| &report.entries[line]);
+    let before = suspected.checked_sub(1).map(|line| &report.entries[line]);
     let (first, worst) = (&report.entries[first], &report.entries[worst]);
     html! {
         table {
@@ -110,7 +118,10 @@ fn taps(report: &Report, alarm: &Alarm) -> Markup {
 fn lines(entries: &[Entry]) -> Markup {
     html! {
         table.lines {
-            (head(&[Numbers("Time"), Numbers("Frame"), Words("State"), Numbers("Score"), Words("Health")]))
+            (head(&[
+                Numbers("Time"), Numbers("Frame"), Words("State"), Numbers("Score"), Numbers("Change"),
+                Numbers("Lanes lost"), Words("Likely cause"), Words("Health"),
+            ]))
             tbody {
                 @for entry in entries {
                     tr {
@@ -118,6 +129,9 @@ fn lines(entries: &[Entry]) -> Markup {
                         td.n { @if let Some(number) = entry.sequence { (number) } @else { "–" } }
                         td { (badge(entry.state)) }
                         td.n { (Number(entry.score, 2)) }
+                        td.n { (Number(entry.change, 2)) }
+                        td.n { (Percent(entry.lanes)) }
+                        td { @if let Some(cause) = entry.cause { (cause.to_string()) } @else { "–" } }
                         td { (Text(&entry.health)) }
                     }
                 }

@@ -4,7 +4,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use crate::capture::clock::ClockTime;
-use crate::monitor::alarm::AlarmState;
+use crate::monitor::alarm::{AlarmState, Reason};
+use crate::monitor::cause::{Cause, LikelyCause};
 use crate::monitor::profile::TapProfile;
 use crate::record::events::{self, Moment};
 use crate::record::journal::{About, Entry, Reading};
@@ -54,22 +55,43 @@ pub struct Shown {
 pub struct Alarm {
     /// `Gap`, `Suspect` when it went no further, `SensorFault` or `Unavailable`.
     pub state: AlarmState,
-    /// When it began, seconds.
+    /// When it began, seconds: the first line in `Gap`, if there is one.
     pub from_s: f64,
+    /// When the suspicion before a gap began; `None` if there was none.
+    pub suspected_s: Option<f64>,
     /// When the state was left, or the last line's time.
     pub to_s: f64,
-    /// The journal ends before the state was left.
+    /// The run ended before the state was left.
     pub open: bool,
-    /// The largest score inside.
+    /// The largest score inside, and in the suspicion before.
     pub score_max: Option<f64>,
+    /// The largest change inside, and in the suspicion before.
+    pub change_max: Option<f64>,
+    /// The largest forecast of the share of lanes that the model loses, inside and in the suspicion before.
+    pub lanes_max: Option<f64>,
+    /// The cause that was most probable inside, with its mean probability over the lines that name a cause. A line that
+    /// names another cause counts as 0.
+    pub cause: Option<LikelyCause>,
     /// The tap whose own score led at that moment, where the journal says so.
     pub leader: Option<String>,
     /// Reasons inside, without `none`, in the order of their first line.
     pub reasons: Vec<String>,
     /// Why frames inside were not judged, with their number.
     pub health: BTreeMap<String, usize>,
-    /// Its lines: first, the one with the largest score, and the one after the last.
-    pub(super) lines: (usize, usize, usize),
+    pub(super) lines: Lines,
+}
+
+/// The lines of an alarm, by their places.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Lines {
+    /// The first one of the suspicion before, or of the alarm if there was none.
+    pub(super) suspected: usize,
+    /// The first one of the alarm.
+    pub(super) first: usize,
+    /// The one with the largest score.
+    pub(super) worst: usize,
+    /// The one after the last.
+    pub(super) next: usize,
 }
 
 impl Report {
@@ -105,8 +127,10 @@ impl Report {
         for (folder, event) in events::read(folder)? {
             let began = &event.moments[event.edge];
             let place = self.alarms.iter().position(|alarm| {
-                let (first, _, next) = alarm.lines;
-                self.entries[first..next].iter().any(|entry| {
+                let Lines {
+                    suspected, next, ..
+                } = alarm.lines;
+                self.entries[suspected..next].iter().any(|entry| {
                     (entry.sequence, entry.score) == (Some(began.seq), began.score)
                         && entry
                             .captured_s
@@ -123,7 +147,7 @@ impl Report {
             }
             let shown = &mut evidence.pictures;
             for moment in thinned(&event.moments, event.edge) {
-                let caption = format!("{:.2} s, {}", moment.t_s, moment.state);
+                let caption = caption(moment);
                 shown.push(Shown {
                     jpeg: events::picture(&folder, &moment.frame)?,
                     caption: caption.clone(),
@@ -154,9 +178,15 @@ impl Report {
         }
     }
 
-    /// Alarms and outages in order of time.
+    /// Alarms, suspicions that came to nothing, and outages, in order of time.
     pub fn alarms(&self) -> &[Alarm] {
         &self.alarms
+    }
+
+    /// Number of those that are in one of these states.
+    pub fn count(&self, states: &[AlarmState]) -> usize {
+        let alarms = self.alarms.iter();
+        alarms.filter(|alarm| states.contains(&alarm.state)).count()
     }
 
     /// Time spent in a state: each line's state holds until the next line.
@@ -172,8 +202,8 @@ impl Report {
     /// Why frames were not judged, with their number.
     pub fn not_judged(&self) -> BTreeMap<&str, usize> {
         let mut reasons = BTreeMap::new();
-        for entry in self.entries.iter().filter(|entry| entry.score.is_none()) {
-            *reasons.entry(entry.health.as_str()).or_default() += 1;
+        for entry in self.entries.iter().filter(|entry| is_unjudged(entry)) {
+            *reasons.entry(why(entry)).or_default() += 1;
         }
         reasons
     }
@@ -213,39 +243,69 @@ fn thinned(moments: &[Moment], edge: usize) -> impl Iterator<Item = &Moment> {
     moments.filter_map(move |(place, moment)| chosen(place, moment).then_some(moment))
 }
 
-/// States that belong to one alarm have the same kind; those that are none have no kind.
-fn kind(state: AlarmState) -> Option<AlarmState> {
-    match state {
+/// What the caption of a moment's picture says.
+fn caption(moment: &Moment) -> String {
+    let mut caption = format!("{:.2} s, {}", moment.t_s, moment.state);
+    if let (Some(cause), Some(probability)) = (moment.cause, moment.cause_probability) {
+        caption += &format!(", {}", LikelyCause { cause, probability });
+    }
+    caption
+}
+
+/// Whether this is the last line of a run that was stopped: it says nothing of the road or of the camera.
+pub(super) fn is_end(entry: &Entry) -> bool {
+    entry.reason == Reason::Stopped.name()
+}
+
+fn is_unjudged(entry: &Entry) -> bool {
+    entry.score.is_none() && !is_end(entry)
+}
+
+/// Why a line has no score. A line without a frame has no health.
+fn why(entry: &Entry) -> &str {
+    match entry.health.as_str() {
+        "ok" => &entry.reason,
+        health => health,
+    }
+}
+
+/// Lines that belong to one alarm have the same kind; those that belong to none have no kind.
+fn kind(entry: &Entry) -> Option<AlarmState> {
+    match entry.state {
+        _ if is_end(entry) => None,
         AlarmState::Init | AlarmState::Ok => None,
         AlarmState::Suspect | AlarmState::Gap => Some(AlarmState::Gap),
-        AlarmState::SensorFault | AlarmState::Unavailable => Some(state),
+        AlarmState::SensorFault | AlarmState::Unavailable => Some(entry.state),
     }
 }
 
 fn alarms(entries: &[Entry]) -> Vec<Alarm> {
     let mut alarms = Vec::new();
     let mut first = 0;
-    for lines in entries.chunk_by(|a, b| kind(a.state) == kind(b.state)) {
+    for lines in entries.chunk_by(|a, b| kind(a) == kind(b)) {
         let next = first + lines.len();
-        if kind(lines[0].state).is_some() {
-            alarms.push(alarm(entries, first, next));
+        if let Some(kind) = kind(&lines[0]) {
+            alarms.push(alarm(entries, kind, first, next));
         }
         first = next;
     }
     alarms
 }
 
-fn alarm(entries: &[Entry], first: usize, next: usize) -> Alarm {
-    let lines = &entries[first..next];
+/// The alarm of the lines from `suspected` to the one before `next`, which are of one kind.
+fn alarm(entries: &[Entry], kind: AlarmState, suspected: usize, next: usize) -> Alarm {
+    let lines = &entries[suspected..next];
+    let begun = lines.iter().position(|entry| entry.state == kind);
+    let first = suspected + begun.unwrap_or_default();
     let mut reasons: Vec<String> = Vec::new();
     let mut health = BTreeMap::new();
-    let mut worst = first;
-    for (entry, place) in lines.iter().zip(first..) {
+    let mut worst = suspected;
+    for (entry, place) in lines.iter().zip(suspected..) {
         if entry.reason != "none" && !reasons.contains(&entry.reason) {
             reasons.push(entry.reason.clone());
         }
-        if entry.score.is_none() {
-            *health.entry(entry.health.clone()).or_default() += 1;
+        if is_unjudged(entry) {
+            *health.entry(why(entry).to_owned()).or_default() += 1;
         }
         if entry.score > entries[worst].score {
             worst = place;
@@ -255,22 +315,43 @@ fn alarm(entries: &[Entry], first: usize, next: usize) -> Alarm {
     let leader = scores
         .filter_map(|(tap, score)| Some((tap, (*score)?)))
         .max_by(|a, b| a.1.total_cmp(&b.1));
-    let suspect_only = lines.iter().all(|e| e.state == AlarmState::Suspect);
+    let largest =
+        |of: fn(&Entry) -> Option<f64>| lines.iter().filter_map(of).max_by(f64::total_cmp);
     Alarm {
-        state: if suspect_only {
-            AlarmState::Suspect
-        } else {
-            kind(lines[0].state).unwrap_or(lines[0].state)
-        },
-        from_s: lines[0].t_s,
+        state: begun.map_or(AlarmState::Suspect, |_| kind),
+        from_s: entries[first].t_s,
+        suspected_s: (first > suspected).then_some(lines[0].t_s),
         to_s: entries[next.min(entries.len() - 1)].t_s,
-        open: next == entries.len(),
+        open: entries[next..].iter().all(is_end),
         score_max: entries[worst].score,
+        change_max: largest(|entry| entry.change),
+        lanes_max: largest(|entry| entry.lanes),
+        cause: likely_cause(&entries[first..next]),
         leader: leader.map(|(tap, _)| tap.clone()),
         reasons,
         health,
-        lines: (first, worst, next),
+        lines: Lines {
+            suspected,
+            first,
+            worst,
+            next,
+        },
     }
+}
+
+/// The cause that was most probable over these lines, see [`Alarm::cause`].
+fn likely_cause(lines: &[Entry]) -> Option<LikelyCause> {
+    let mut sums: BTreeMap<Cause, f64> = BTreeMap::new();
+    let mut count = 0.0;
+    for likely in lines.iter().filter_map(|entry| entry.cause) {
+        *sums.entry(likely.cause).or_default() += likely.probability;
+        count += 1.0;
+    }
+    let (cause, sum) = sums.into_iter().max_by(|a, b| a.1.total_cmp(&b.1))?;
+    Some(LikelyCause {
+        cause,
+        probability: sum / count,
+    })
 }
 
 #[cfg(test)]
@@ -287,6 +368,9 @@ mod tests {
             state,
             reason: "none".to_owned(),
             score,
+            change: score.map(|s| s - 0.25),
+            lanes: score.map(|s| s / 10.0),
+            cause: None,
             gap: taps.map(|(tap, _)| (tap.to_owned(), score)).into(),
             similarity: BTreeMap::new(),
             tap_score: taps
@@ -320,7 +404,7 @@ mod tests {
     }
 
     #[test]
-    fn alarms_run_from_the_first_suspicion_to_the_line_that_ends_them() {
+    fn alarms_run_from_the_first_gap_to_the_line_that_ends_them() {
         let report = report();
         let told: Vec<_> = report
             .alarms()
@@ -330,13 +414,81 @@ mod tests {
         assert_eq!(
             told,
             [
-                (AlarmState::Gap, 2.0, 5.0, false, Some(2.5)),
+                (AlarmState::Gap, 3.0, 5.0, false, Some(2.5)),
                 (AlarmState::Suspect, 6.0, 7.0, false, Some(1.1)),
                 (AlarmState::SensorFault, 7.0, 7.0, true, None),
             ]
         );
-        assert_eq!(report.alarms()[0].leader.as_deref(), Some("e3"));
-        assert_eq!(report.alarms()[2].health["picture is black"], 1);
+        let [gap, suspicion, fault] = report.alarms() else {
+            panic!("{:?}", report.alarms());
+        };
+        assert_eq!(gap.leader.as_deref(), Some("e3"));
+        assert_eq!((gap.change_max, gap.lanes_max), (Some(2.25), Some(0.25)));
+        assert_eq!(gap.suspected_s, Some(2.0));
+        assert_eq!((suspicion.suspected_s, fault.suspected_s), (None, None));
+        assert_eq!((fault.change_max, fault.lanes_max), (None, None));
+        assert_eq!(fault.health["picture is black"], 1);
+        assert_eq!(report.count(&[AlarmState::Gap]), 1);
+    }
+
+    #[test]
+    fn the_line_that_says_that_the_monitor_stopped_is_no_outage() {
+        use AlarmState::{Gap, Ok, Unavailable};
+        let mut stopped = entry(3.0, Unavailable, None);
+        (stopped.reason, stopped.health) = ("stopped".to_owned(), "ok".to_owned());
+        stopped.sequence = None;
+        let report = |state| {
+            let mut parked = entry(1.0, Unavailable, None);
+            (parked.reason, parked.health) = ("parked".to_owned(), "ok".to_owned());
+            let entries = vec![
+                entry(0.0, Ok, Some(0.1)),
+                parked,
+                entry(2.0, state, Some(2.0)),
+                stopped.clone(),
+            ];
+            Report::new(Reading {
+                entries,
+                ..Reading::default()
+            })
+        };
+        let told = |report: &Report| -> Vec<_> {
+            let alarms = report.alarms().iter();
+            alarms
+                .map(|a| (a.state, a.from_s, a.to_s, a.open))
+                .collect()
+        };
+        let outage = (Unavailable, 1.0, 2.0, false);
+        assert_eq!(told(&report(Ok)), [outage]);
+        // An alarm that goes on until the monitor stops has no end.
+        assert_eq!(told(&report(Gap)), [outage, (Gap, 2.0, 3.0, true)]);
+        assert_eq!(report(Ok).not_judged(), [("parked", 1)].into());
+    }
+
+    #[test]
+    fn the_cause_of_an_alarm_is_the_one_with_the_largest_mean_probability_from_its_first_gap_on() {
+        use AlarmState::{Gap, Suspect};
+        let line = |t_s, state, cause: Option<(Cause, f64)>| Entry {
+            cause: cause.map(|(cause, probability)| LikelyCause { cause, probability }),
+            ..entry(t_s, state, Some(2.0))
+        };
+        let report = Report::new(Reading {
+            entries: vec![
+                line(0.0, Suspect, Some((Cause::Night, 1.0))),
+                line(1.0, Gap, Some((Cause::Fog, 0.75))),
+                line(2.0, Gap, Some((Cause::Dirt, 0.95))),
+                line(3.0, Gap, None),
+                line(4.0, Gap, Some((Cause::Fog, 0.45))),
+                entry(5.0, AlarmState::Ok, Some(0.0)),
+                line(6.0, Gap, None),
+            ],
+            ..Reading::default()
+        });
+        let likely = report.alarms()[0].cause.unwrap();
+        assert_eq!(likely.cause, Cause::Fog);
+        assert!((likely.probability - 0.4).abs() < 1e-12);
+        assert_eq!(report.alarms()[1].cause, None);
+        let page = report.page("drive.jsonl");
+        assert!(page.contains("<td>fog (40 %)</td>"));
     }
 
     #[test]

@@ -5,6 +5,7 @@ use serde::Serialize;
 use super::alarms::ALARMS_MAX;
 use super::content::Report;
 use super::states::{self, STATES};
+use crate::monitor::cause::Cause;
 use crate::record::journal::Entry;
 
 /// Most lines that are drawn; of longer journals, per stretch the lines with the smallest and the largest score and all
@@ -18,6 +19,13 @@ pub struct Data<'a> {
     state: Vec<usize>,
     states: [&'static str; 6],
     score: Vec<Option<f64>>,
+    change: Vec<Option<f64>>,
+    /// Shares of 1.
+    lanes: Vec<Option<f64>>,
+    /// Place of the likely cause in `causes`.
+    cause: Vec<Option<usize>>,
+    probability: Vec<Option<f64>>,
+    causes: [&'static str; 12],
     latency: Vec<f64>,
     /// Place of the reason in `healths`; 0 is `ok`.
     health: Vec<usize>,
@@ -55,6 +63,11 @@ pub fn drawn(entries: &[Entry]) -> Vec<usize> {
     places
 }
 
+fn place_of_cause(entry: &Entry) -> Option<usize> {
+    let likely = entry.cause?;
+    Cause::ALL.iter().position(|cause| *cause == likely.cause)
+}
+
 /// The numbers of a report.
 pub fn data(report: &Report) -> Data<'_> {
     let lines: Vec<&Entry> = drawn(&report.entries)
@@ -79,6 +92,11 @@ pub fn data(report: &Report) -> Data<'_> {
         state: lines.iter().map(|e| states::place(e.state)).collect(),
         states: STATES.map(|(state, _)| state.name()),
         score: lines.iter().map(|e| e.score).collect(),
+        change: lines.iter().map(|e| e.change).collect(),
+        lanes: lines.iter().map(|e| e.lanes).collect(),
+        cause: lines.iter().map(|e| place_of_cause(e)).collect(),
+        probability: lines.iter().map(|e| Some(e.cause?.probability)).collect(),
+        causes: Cause::ALL.map(Cause::name),
         latency: lines.iter().map(|e| e.latency_ms).collect(),
         health,
         healths,

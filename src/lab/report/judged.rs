@@ -2,7 +2,7 @@
 
 use maud::{Markup, html};
 
-use super::content::Report;
+use super::content::{Report, is_end};
 use super::states::{STATES, badge};
 use super::table::Column::{Numbers, Words};
 use super::table::head;
@@ -46,7 +46,8 @@ pub fn judged(report: &Report) -> Markup {
 /// The states that occur, as a bar and as a table.
 fn shares(report: &Report) -> Markup {
     let span = report.span_s().max(1e-9);
-    let occurs = |state| report.entries.iter().any(|entry| entry.state == state);
+    let lasting = || report.entries.iter().filter(|entry| !is_end(entry));
+    let occurs = |state| lasting().any(|entry| entry.state == state);
     let spent = STATES
         .iter()
         .filter(|(state, _)| occurs(*state))

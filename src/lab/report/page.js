@@ -1,7 +1,7 @@
 "use strict";
 (() => {
   const data = JSON.parse(document.getElementById("data").textContent);
-  const { t, score, state, states, health, healths, latency, taps, alarms } = data;
+  const { t, score, change, lanes, cause, causes, probability, state, states, health, healths, latency, taps, alarms } = data;
   const byId = (id) => document.getElementById(id);
   const charts = byId("charts"), reading = byId("reading");
   const first = t[0], last = t[t.length - 1], whole = Math.max(last - first, 1e-3);
@@ -118,27 +118,32 @@
     };
   }
 
-  // One row a state that occurs, so that no colour is needed to tell them apart.
-  const occurring = states.map((_, k) => k).filter((k) => state.includes(k));
-  const stateRow = {
-    title: "State", height: 20 * occurring.length,
-    draw({ svg, inside, x, top, left, begin, end }) {
-      occurring.forEach((k, row) => {
-        svgOf("text", { x: left - 8, y: top + 20 * row + 14, "text-anchor": "end" }, svg, states[k]);
-      });
-      svg.append(inside);
-      for (let i = begin; i < end; ) {
-        let next = i + 1;
-        while (next < end && state[next] === state[i]) next++;
-        const until = next < t.length ? t[next] : last;
-        svgOf("rect", {
-          x: x(t[i]), y: top + 20 * occurring.indexOf(state[i]) + 3, height: 14, rx: 2,
-          width: Math.max(x(until) - x(t[i]), 2), class: `fill ${states[state[i]]}`,
-        }, inside);
-        i = next;
-      }
-    },
-  };
+  // One row a name that occurs, so that no colour is needed to tell them apart; a line without a name leaves a hole.
+  function strips(title, names, values, colour) {
+    const occurring = names.map((_, k) => k).filter((k) => values.includes(k));
+    return {
+      title, height: 20 * occurring.length,
+      draw({ svg, inside, x, top, left, begin, end }) {
+        occurring.forEach((k, row) => {
+          svgOf("text", { x: left - 8, y: top + 20 * row + 14, "text-anchor": "end" }, svg, names[k]);
+        });
+        svg.append(inside);
+        for (let i = begin; i < end; ) {
+          let next = i + 1;
+          while (next < end && values[next] === values[i]) next++;
+          const until = next < t.length ? t[next] : last;
+          if (values[i] !== null)
+            svgOf("rect", {
+              x: x(t[i]), y: top + 20 * occurring.indexOf(values[i]) + 3, height: 14, rx: 2,
+              width: Math.max(x(until) - x(t[i]), 2), class: `fill ${colour(values[i])}`,
+            }, inside);
+          i = next;
+        }
+      },
+    };
+  }
+  const stateRow = strips("State", states, state, (k) => states[k]);
+  const causeRow = strips("Likely cause", causes, cause, () => "cause");
   const healthRow = {
     title: health.some((h) => h !== 0) ? "Health: frames that could not be judged" : "Health: every frame was judged",
     height: 16,
@@ -153,7 +158,14 @@
     },
   };
   const dashes = ["", "7 3", "2 3"];
-  const scoreRow = (height) => curves("Score", height, [{ values: score }], { threshold: true });
+  const known = (values) => values.some((value) => value !== null);
+  const scores = known(change)
+    ? [{ values: score, name: "score" }, { values: change, name: "change", colour: "var(--tap0)", dash: dashes[1] }]
+    : [{ values: score }];
+  const scoreRow = (height) => curves(known(change) ? "Scores" : "Score", height, scores, { threshold: true });
+  const lanesRow = curves("Lanes lost, forecast, %", 56, [{ values: lanes.map((share) => (share === null ? null : 100 * share)), colour: "var(--tap0)" }], {});
+  // What no line says has no row.
+  const causeRows = known(cause) ? [causeRow] : [], lanesRows = known(lanes) ? [lanesRow] : [];
   const gapRow = (height) => curves("Gap by tap", height, taps.map(({ name, gap }, k) => ({
     values: gap, name, colour: `var(--tap${k % 3})`, dash: dashes[k % 3],
   })), {});
@@ -161,7 +173,7 @@
 
   let drawn;
   function redraw() {
-    drawn = draw(charts, view, [scoreRow(170), stateRow, healthRow, gapRow(90), latencyRow]);
+    drawn = draw(charts, view, [scoreRow(170), stateRow, ...causeRows, healthRow, ...lanesRows, gapRow(90), latencyRow]);
     const full = view[0] <= first && view[1] >= first + whole;
     byId("range").textContent = full ? "" : `Shown: ${view[0].toFixed(1)} s to ${view[1].toFixed(1)} s.`;
     for (const id of ["back", "on", "out", "all"]) byId(id).disabled = full;
@@ -200,6 +212,9 @@
     cursor.setAttribute("x1", px);
     cursor.setAttribute("x2", px);
     reading.textContent = `${t[i].toFixed(2)} s: ${states[state[i]]}, score ${shown(score[i], 2)}` +
+      (change[i] === null ? "" : `, change ${shown(change[i], 2)}`) +
+      (lanes[i] === null ? "" : `, lanes lost ${shown(100 * lanes[i], 0)} %`) +
+      (cause[i] === null ? "" : `, ${causes[cause[i]]} (${shown(100 * probability[i], 0)} %)`) +
       taps.map(({ name, gap }) => `, ${name} ${shown(gap[i], 4)}`).join("") +
       (health[i] ? `, ${healths[health[i]]}` : "");
     if (dragFrom === null) return;
@@ -219,7 +234,7 @@
 
   function drawCloser(box) {
     const from = Number(box.dataset.from), to = Number(box.dataset.to), margin = Math.max(2, (to - from) * 0.25);
-    draw(box, [Math.max(first, from - margin), Math.max(Math.min(last, to + margin), first + 1e-3)], [scoreRow(90), stateRow, gapRow(70)]);
+    draw(box, [Math.max(first, from - margin), Math.max(Math.min(last, to + margin), first + 1e-3)], [scoreRow(90), stateRow, ...causeRows, ...lanesRows, gapRow(70)]);
   }
   for (const row of document.querySelectorAll("tr.alarm")) {
     const button = row.querySelector("button"), behind = byId(button.getAttribute("aria-controls"));

@@ -37,7 +37,9 @@ impl Report {
                         @for part in parts { (part) "\n" }
                         @if !self.about.reference.is_empty() { (calibration(&self.about)) "\n" }
                         footer {
-                            "Score 0 is the median of nominal drives, 1 the alarm threshold. Made by gapwatch "
+                            "Score 0 is the median of nominal drives, 1 the alarm threshold. Change is how far the road \
+                            differs from its own past, on the same scale. Lanes lost is a forecast of the share of lanes \
+                            that the lane model loses. Made by gapwatch "
                             (env!("CARGO_PKG_VERSION")) "."
                         }
                     }

@@ -39,6 +39,18 @@ impl Render for Number {
     }
 }
 
+/// A share of 1 as whole per cent, or a dash.
+pub struct Percent(pub Option<f64>);
+
+impl Render for Percent {
+    fn render_to(&self, out: &mut String) {
+        match self.0 {
+            Some(share) => format!("{:.0} %", 100.0 * share).render_to(out),
+            None => "–".render_to(out),
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -64,6 +76,14 @@ mod tests {
         assert_eq!(shown(Some(-0.001)), "0.00");
         assert_eq!(shown(Some(-0.25)), "-0.25");
         assert_eq!(shown(Some(10.0)), "10.00");
+        assert_eq!(shown(None), "–");
+    }
+
+    #[test]
+    fn a_share_is_shown_as_whole_per_cent() {
+        let shown = |share| Percent(share).render().into_string();
+        assert_eq!(shown(Some(0.125)), "12 %");
+        assert_eq!(shown(Some(1.0)), "100 %");
         assert_eq!(shown(None), "–");
     }
 }

@@ -5,7 +5,7 @@ use maud::{Markup, html};
 use super::content::Report;
 use super::data::drawn;
 
-const NAME: &str = "Timeline of score, state, health, gaps and latency; the table of alarms says the same in words";
+const NAME: &str = "Timeline of score, change, state, cause, health, lanes, gaps and latency; the table of alarms says the same in words";
 
 /// Buttons and the place for the charts.
 pub fn timeline(report: &Report) -> Markup {
