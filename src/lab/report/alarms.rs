@@ -70,7 +70,7 @@ fn cells(alarm: &Alarm) -> Markup {
         td.n { (Number(alarm.score_max, 2)) }
         td.n { (Number(alarm.change_max, 2)) }
         td.n { (Percent(alarm.lanes_max)) }
-        td { @if let Some(cause) = alarm.cause { (cause.to_string()) } @else { "–" } }
+        td.likely { @if let Some(cause) = alarm.cause { (cause.to_string()) } @else { "–" } }
         td { @if let Some(tap) = &alarm.leader { (Text(tap)) } @else { "–" } }
         td { @if alarm.reasons.is_empty() { "–" } @else { (Text(&alarm.reasons.join(", "))) } }
     }

@@ -131,7 +131,7 @@ fn lines(entries: &[Entry]) -> Markup {
                         td.n { (Number(entry.score, 2)) }
                         td.n { (Number(entry.change, 2)) }
                         td.n { (Percent(entry.lanes)) }
-                        td { @if let Some(cause) = entry.cause { (cause.to_string()) } @else { "–" } }
+                        td.likely { @if let Some(cause) = entry.cause { (cause.to_string()) } @else { "–" } }
                         td { (Text(&entry.health)) }
                     }
                 }

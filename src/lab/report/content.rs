@@ -488,7 +488,7 @@ mod tests {
         assert!((likely.probability - 0.4).abs() < 1e-12);
         assert_eq!(report.alarms()[1].cause, None);
         let page = report.page("drive.jsonl");
-        assert!(page.contains("<td>fog (40 %)</td>"));
+        assert!(page.contains("<td class=\"likely\">fog (40 %)</td>"));
     }
 
     #[test]
