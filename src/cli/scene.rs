@@ -91,6 +91,7 @@ fn render_scene(
     let world = World {
         look: args.look,
         without: args.without.clone(),
+        ..World::default()
     };
     let scene = renderer.render(&Drive::new(&world, seed, &args.condition), t_s);
     let size = (args.size.width, args.size.height);

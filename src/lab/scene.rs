@@ -12,6 +12,8 @@
 //! Pixel arithmetic converts between integers and floats on every line, within ranges that the code ensures.
 #![allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)]
 
+mod belts;
+mod bridge;
 mod canvas;
 mod conditions;
 mod drive;
@@ -25,7 +27,10 @@ mod overlay;
 mod projection;
 mod render;
 mod road;
+mod road_kind;
+mod roadside;
 mod sensor;
+mod sequence;
 mod source;
 mod spec;
 mod standing;
@@ -33,6 +38,7 @@ mod surroundings;
 mod textures;
 mod traffic;
 mod tunnel;
+mod way;
 mod weather;
 mod world;
 
@@ -119,14 +125,17 @@ mod tests {
 
     #[test]
     fn every_element_shows_when_it_is_left_out() {
+        let changing = World {
+            stretch_m: 100,
+            ..World::default()
+        };
         for element in Element::ALL {
             let without = World {
-                look: Look::Sim,
                 without: vec![element],
+                ..changing.clone()
             };
-            let shows = (0..60).any(|seed| {
-                frame(&World::default(), seed, &[], 11.0) != frame(&without, seed, &[], 11.0)
-            });
+            let shows = (0..60)
+                .any(|seed| frame(&changing, seed, &[], 11.0) != frame(&without, seed, &[], 11.0));
             assert!(shows, "{element}");
         }
     }
@@ -155,8 +164,8 @@ mod tests {
     #[test]
     fn labels_lie_on_the_paint_however_the_camera_is_held() {
         let sides = World {
-            look: Look::Sim,
             without: vec![Element::Traffic, Element::Rails, Element::Shadows],
+            ..World::default()
         };
         for conditions in [vec![], vec![condition(ConditionKind::Askew, 5.0)]] {
             let (mut on, mut beside) = ((0.0, 0.0), (0.0, 0.0));

@@ -2,14 +2,15 @@
 
 use super::conditions::Condition;
 use super::light::{Colour, Light};
-use super::markings::Layout;
+use super::markings::{Cross, Layout};
 use super::noise::{Draws, hash};
 use super::projection::CameraMount;
 use super::road::Road;
 use super::sensor::Sensor;
 use super::surroundings::Surroundings;
 use super::traffic::Traffic;
-use super::world::{Look, World};
+use super::way::Changes;
+use super::world::{Element, Look, World};
 
 /// A drive that can be rendered at any time.
 #[derive(Clone, Debug)]
@@ -17,6 +18,7 @@ pub struct Drive {
     pub(super) seed: u32,
     pub(super) road: Road,
     pub(super) layout: Layout,
+    pub(super) changes: Option<Changes>,
     pub(super) surroundings: Surroundings,
     pub(super) traffic: Traffic,
     pub(super) light: Light,
@@ -25,6 +27,7 @@ pub struct Drive {
     /// Colour of the own bonnet, if it is in view.
     pub(super) bonnet: Option<Colour>,
     pub(super) conditions: Vec<Condition>,
+    pub(super) unlit: bool,
 }
 
 impl Drive {
@@ -32,10 +35,16 @@ impl Drive {
     pub fn new(world: &World, seed: u64, conditions: &[Condition]) -> Self {
         let seed = hash((seed >> 32) as u32, seed as u32 as i32, 0);
         let part = |name| Draws(Draws(seed).seed(name));
+        let cross = Cross::new(part("layout"), world);
+        let layout = cross.layout();
+        let changes = (world.stretch_m > 0).then(|| Changes::new(part("stretches"), world, cross));
+        let sequence = changes.as_ref().map(|changes| changes.sequence);
         Self {
             seed,
-            road: Road::new(part("road"), world),
-            layout: Layout::new(part("layout"), world),
+            road: Road::new(part("road"), world)
+                .along(sequence.filter(|_| world.has(Element::Course))),
+            layout,
+            changes,
             surroundings: Surroundings::new(part("surroundings"), world),
             traffic: Traffic::new(part("traffic"), world),
             light: Light::new(part("light"), world),
@@ -45,6 +54,7 @@ impl Drive {
                 part("bonnet").pick("paint", &[[0.04, 0.04, 0.05], [0.30, 0.02, 0.02], [0.5; 3]])
             }),
             conditions: conditions.to_vec(),
+            unlit: world.unlit,
         }
     }
 }

@@ -3,7 +3,7 @@
 use super::canvas::Canvas;
 use super::conditions::{ConditionKind, RAIN_MIRROR, SNOW_ROAD, graded};
 use super::light::{Colour, blended, scaled};
-use super::markings::PaintRow;
+use super::markings::{Layout, PaintRow};
 use super::moment::Moment;
 use super::projection::GroundRow;
 use super::textures::wheel_track;
@@ -11,6 +11,8 @@ use crate::model::vectors::Vectors;
 
 /// Lane lines are labelled up to this distance, metres.
 const LABEL_REACH_M: f32 = 60.0;
+/// How much more light paint sends back to the car than a white sheet does.
+const RETRO: f32 = 2.0;
 /// Colour of the walkway along a tunnel's wall.
 const KERB: Colour = [0.34, 0.34, 0.33];
 
@@ -56,14 +58,11 @@ impl Moment<'_> {
         strip: &mut Strip,
         light: &mut [Colour],
     ) {
-        let drive = self.drive;
-        let layout = &drive.layout;
         let s_m = self.pose.s_m + f64::from(row.z_m);
+        let layout: &Layout = &self.way.layout(s_m);
+        let ground = self.way.textures(s_m);
         let metres_a_pixel = row.z_m / self.projection.focal_px;
-        let textures = drive
-            .surroundings
-            .textures
-            .row(s_m, row.length_m.max(metres_a_pixel));
+        let textures = ground.row(s_m, row.length_m.max(metres_a_pixel));
         let wet = graded(RAIN_MIRROR, self.severities.of(ConditionKind::Rain));
         let mirror = wet * row.z_m / (row.z_m + 12.0);
         let in_tunnel = self.tunnel.as_ref().is_some_and(|t| t.covers(row.z_m));
@@ -94,7 +93,9 @@ impl Moment<'_> {
             let d_m = &strip.d_m[asphalt.clone()];
             let light = &mut light[asphalt.clone()];
             textures.asphalt(d_m, layout.lane_width_m, metres_a_pixel, light);
-            PaintRow::new(layout, s_m, row.length_m).paint(d_m, metres_a_pixel, light);
+            PaintRow::new(layout, s_m, row.length_m)
+                .reflecting(1.0 + RETRO * self.unlit_dark())
+                .paint(d_m, metres_a_pixel, light);
             if snow_on_road > 0.0 {
                 // Wheels clear their tracks as long as any road can be seen.
                 let cover = |d_m: f32| {
@@ -111,7 +112,14 @@ impl Moment<'_> {
                 }
             }
         }
-        drive.light.fall_on(s_m, &strip.d_m, light);
+        let shade = self.way.shade(s_m);
+        self.light.fall_on(
+            s_m,
+            row.length_m.max(metres_a_pixel),
+            &strip.d_m,
+            shade,
+            light,
+        );
     }
 
     /// Labels the lane lines in a row at the offsets `d_m`.
@@ -124,7 +132,8 @@ impl Moment<'_> {
         // A line that is `d` metres to the side has the slope d / height in the picture. Its label has the same width
         // across the line as along a row.
         let camera_d_m = self.lateral(row, self.projection.centre_x);
-        for line in &self.drive.layout.lines {
+        let layout = self.way.layout(self.pose.s_m + f64::from(row.z_m));
+        for line in &layout.lines {
             let slope = (line.offset_m - camera_d_m) / self.projection.height_m;
             let half_m = (0.5 * line.width_m).max(label_half_m * (1.0 + slope * slope).sqrt());
             for (mask, d_m) in mask.iter_mut().zip(d_m) {

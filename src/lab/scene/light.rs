@@ -1,6 +1,7 @@
 //! Light and air of a nominal drive: sun, sky, haze and the exposure that follows them.
 
 use super::noise::{BLOCK, Draws, NoiseColumn, NoiseRow};
+use super::way::Shade;
 use super::world::{Element, Look, World};
 
 /// A colour in linear light: red, green and blue; 1 is a white sheet in full light.
@@ -35,6 +36,8 @@ pub struct Light {
     shadow_side: f64,
     shadow_seed: u32,
     shadow_density: f32,
+    /// How clear the sky is, 0 to 1.
+    pub clear: f32,
     /// Extinction of the air on a clear day, 1/m.
     pub extinction: f32,
     /// Brightness after exposure: about the pixel value of a mid-grey road.
@@ -83,12 +86,33 @@ impl Light {
                 -1.0
             },
             shadow_seed: draws.seed("shadows"),
+            clear,
             shadow_density: draws.range("shadow density", 0.35, 0.72),
             extinction: match world.look {
                 Look::Sim | Look::Game => 0.0,
                 Look::Realistic => draws.range("air", 0.0003, 0.0020),
             },
             exposure: world.when(Element::Exposure, draws.range("exposure", 0.75, 1.30), 1.0),
+        }
+    }
+
+    /// This light when a share `sun` of it passes the clouds, in air with an additional extinction of `haze`.
+    pub fn changed(&self, sun: f32, haze: f32) -> Self {
+        Self {
+            ground: scaled(self.ground, sun),
+            shadow_depth: self.shadow_depth * sun,
+            extinction: self.extinction + haze,
+            ..self.clone()
+        }
+    }
+
+    /// Light on what stands along a side of the road (0 left, 1 right) and faces it: the sun shines on one of them.
+    pub fn on_side(&self, side: usize) -> f32 {
+        let sunny = (self.shadow_side > 0.0) == (side == 0);
+        if sunny {
+            1.0
+        } else {
+            1.0 - 0.9 * self.shadow_depth
         }
     }
 
@@ -115,9 +139,62 @@ impl Light {
         }
     }
 
-    /// Lights the road at arc length `s_m` and offsets `d_m`; roadside shadows fall across it.
+    /// Lights the road at arc length `s_m` and offsets `d_m`; roadside shadows fall across it. The row shows a length of
+    /// `length_m` of it, which is in `shade`.
     #[inline(always)]
-    pub fn fall_on(&self, s_m: f64, d_m: &[f32], colours: &mut [Colour]) {
+    pub fn fall_on(
+        &self,
+        s_m: f64,
+        length_m: f32,
+        d_m: &[f32],
+        shade: Shade,
+        colours: &mut [Colour],
+    ) {
+        self.fall_in_the_open(s_m, d_m, colours);
+        if shade.canopy > 0.01 {
+            self.fall_through_trees(s_m, length_m, d_m, shade.canopy, colours);
+        }
+        if shade.roof > 0.01 {
+            for colour in colours {
+                *colour = scaled(*colour, 1.0 - 0.82 * shade.roof);
+            }
+        }
+    }
+
+    /// Shades the road under trees, where the sun shines through gaps.
+    #[inline(always)]
+    fn fall_through_trees(
+        &self,
+        s_m: f64,
+        length_m: f32,
+        d_m: &[f32],
+        canopy: f32,
+        colours: &mut [Colour],
+    ) {
+        let leaves = NoiseRow::new(self.shadow_seed ^ 2, s_m / 1.4);
+        let crowns = NoiseRow::new(self.shadow_seed ^ 3, s_m / 7.0);
+        let fine = (0.9 / length_m).min(1.0);
+        let dark = canopy * (0.45 + 0.42 * self.clear);
+        for (d_m, colours) in d_m.chunks(BLOCK).zip(colours.chunks_mut(BLOCK)) {
+            let leaves = leaves.block(d_m, |d| f64::from(d) / 1.1);
+            let crowns = crowns.block(d_m, |d| f64::from(d) / 5.0);
+            for ((colour, leaf), crown) in colours.iter_mut().zip(&leaves).zip(&crowns) {
+                let gap = 0.55 * crown + 0.45 * (0.5 + fine * (leaf - 0.5));
+                let gap = ((gap - 0.35 - 0.3 * canopy) * 6.0).clamp(0.0, 1.0);
+                let kept = 1.0 - dark * (1.0 - gap);
+                // What comes through leaves is the light of the sky.
+                let blue = 0.12 * self.clear * (1.0 - kept);
+                *colour = [
+                    colour[0] * kept * (1.0 - blue),
+                    colour[1] * kept,
+                    colour[2] * kept * (1.0 + 2.0 * blue),
+                ];
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn fall_in_the_open(&self, s_m: f64, d_m: &[f32], colours: &mut [Colour]) {
         let lit = |colour: Colour| [0, 1, 2].map(|i| colour[i] * self.ground[i]);
         if self.shadow_depth <= 0.02 {
             for colour in colours {

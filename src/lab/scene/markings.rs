@@ -1,11 +1,14 @@
 //! What is painted on the road: the lines, their positions, and their wear.
 
-use super::light::{Colour, blended};
+use super::light::{Colour, blended, scaled};
 use super::noise::{BLOCK, Draws, NoiseRow};
+use super::road_kind::Traits;
 use super::world::{Element, Look, World};
 
 /// Largest number of lanes in the direction of travel.
 const LANES_MAX: usize = 5;
+/// Share of the width of one more lane from which a line separates it.
+const EXTRA_LANE_FROM: f32 = 0.12;
 
 /// One painted line along the road.
 #[derive(Clone, Copy, Debug)]
@@ -39,26 +42,116 @@ pub struct Layout {
     wear_seed: u32,
 }
 
-impl Layout {
+/// How the centre line of a road with oncoming traffic is painted.
+#[derive(Clone, Copy, Debug)]
+pub enum CentreLine {
+    Dashed,
+    Solid,
+    Double,
+}
+
+/// The measures of a carriageway, from which its lines follow.
+#[derive(Clone, Debug)]
+pub struct Cross {
+    pub lane_m: f32,
+    /// Number of lanes in the direction of travel; a road with one has an oncoming lane too.
+    count: usize,
+    ego: usize,
+    pub line_m: f32,
+    pub dash_m: (f32, f32),
+    pub centre: CentreLine,
+    pub yellow: bool,
+    /// Whether the right edge is painted.
+    pub edge_line: bool,
+    pub shoulder_m: f32,
+    /// How much of one more lane on the right there is, 0 to 1.
+    pub extra: f32,
+    pub wear: f32,
+    colours: [Colour; 2],
+    wear_seed: u32,
+}
+
+impl Cross {
     /// The cross-section of a drive: 2 to 5 lanes one way, or 1 each way.
     pub fn new(draws: Draws, world: &World) -> Self {
-        let lane = draws.range("lane width", 3.0, 3.8);
         let count = draws.pick("lanes", &[1, 1, 2, 2, 3, 3, 4, 5]);
-        let ego = draws.seed("ego lane") as usize % count;
-        let two_way = count == 1;
-        let (width_m, dash) = match world.look {
+        let (line_m, dash_m) = match world.look {
             Look::Sim | Look::Realistic => (
                 draws.range("line width", 0.11, 0.22),
                 draws.pick("dash", &[(3.0, 9.0), (4.0, 8.0), (6.0, 6.0), (6.0, 12.0)]),
             ),
             Look::Game => (0.15, (3.0, 4.5)),
         };
-        let yellow = world.has(Element::YellowPaint) && draws.chance("yellow", 0.35);
+        Self {
+            lane_m: draws.range("lane width", 3.0, 3.8),
+            count,
+            ego: draws.seed("ego lane") as usize % count,
+            line_m,
+            dash_m,
+            centre: draws.pick(
+                "centre line",
+                &[CentreLine::Dashed, CentreLine::Solid, CentreLine::Double],
+            ),
+            yellow: world.has(Element::YellowPaint) && draws.chance("yellow", 0.35),
+            edge_line: true,
+            shoulder_m: draws.range("paved shoulder", 0.3, 2.8),
+            extra: 0.0,
+            wear: world.when(
+                Element::Wear,
+                match world.look {
+                    Look::Sim => draws.range("wear", 0.0, 0.75),
+                    Look::Realistic => draws.range("wear", 0.2, 0.9),
+                    Look::Game => 0.05,
+                },
+                0.0,
+            ),
+            colours: match world.look {
+                Look::Sim => [[0.78, 0.78, 0.76], [0.72, 0.50, 0.10]],
+                Look::Realistic => [[0.70, 0.69, 0.65], [0.66, 0.46, 0.12]],
+                Look::Game => [[0.98, 0.98, 1.0], [0.95, 0.70, 0.02]],
+            },
+            wear_seed: draws.seed("wear pattern"),
+        }
+    }
+
+    /// The cross-section of a stretch of a road that changes; the number of lanes with traffic stays.
+    pub fn changed(&self, draws: Draws, traits: &Traits, world: &World) -> Self {
+        Self {
+            count: self.count,
+            ego: self.ego,
+            lane_m: draws.range("lane of the stretch", traits.lane_m.0, traits.lane_m.1),
+            shoulder_m: draws.range("shoulder", traits.shoulder_m.0, traits.shoulder_m.1),
+            edge_line: !draws.chance("no edge line", traits.no_edge_line),
+            extra: f32::from(u8::from(draws.chance("extra lane", traits.extra_lane))),
+            ..Self::new(draws, world)
+        }
+    }
+
+    /// Whether there is oncoming traffic.
+    pub fn two_way(&self) -> bool {
+        self.count == 1
+    }
+
+    /// This cross-section with the widths on the way to those of `other`.
+    pub fn towards(&self, other: &Self, share: f32) -> Self {
+        let between = |a: f32, b: f32| a + share * (b - a);
+        Self {
+            lane_m: between(self.lane_m, other.lane_m),
+            shoulder_m: between(self.shoulder_m, other.shoulder_m),
+            extra: between(self.extra, other.extra),
+            ..self.clone()
+        }
+    }
+
+    /// The lines and lanes.
+    pub fn layout(&self) -> Layout {
+        let (lane, count, ego, width_m) = (self.lane_m, self.count, self.ego, self.line_m);
+        let (dash, yellow, two_way) = (self.dash_m, self.yellow, self.two_way());
         let left_edge = -(ego as f32 + 0.5) * lane;
         let right_edge = (count as f32 - ego as f32 - 0.5) * lane;
         let mut lines = heapless::Vec::new();
         let mut paint = |offset_m, dash_m, yellow| {
-            // At most 5 lanes one way, or one lane and an oncoming lane with a double line: 6 of 8 lines.
+            // At most 5 lanes one way and one more: 7 of 8 lines.
             let _ = lines.push(Line {
                 offset_m,
                 width_m,
@@ -68,10 +161,10 @@ impl Layout {
         };
         if two_way {
             paint(left_edge - lane, None, false);
-            match draws.pick("centre line", &[0, 1, 2]) {
-                0 => paint(left_edge, Some(dash), yellow),
-                1 => paint(left_edge, None, yellow),
-                _ => {
+            match self.centre {
+                CentreLine::Dashed => paint(left_edge, Some(dash), yellow),
+                CentreLine::Solid => paint(left_edge, None, yellow),
+                CentreLine::Double => {
                     paint(left_edge - width_m, None, yellow);
                     paint(left_edge + width_m, None, yellow);
                 }
@@ -82,9 +175,15 @@ impl Layout {
         for boundary in 1..count {
             paint(left_edge + boundary as f32 * lane, Some(dash), false);
         }
-        paint(right_edge, None, false);
-        let verge = draws.range("paved shoulder", 0.3, 2.8);
-        Self {
+        if self.extra > EXTRA_LANE_FROM {
+            paint(right_edge, Some(dash), false);
+        }
+        let right_edge = right_edge + self.extra * lane;
+        if self.edge_line {
+            paint(right_edge, None, false);
+        }
+        let verge = self.shoulder_m;
+        Layout {
             lines,
             asphalt_m: (
                 if two_way {
@@ -99,21 +198,9 @@ impl Layout {
                 .collect(),
             oncoming_m: two_way.then_some(-lane),
             lane_width_m: lane,
-            colours: match world.look {
-                Look::Sim => [[0.78, 0.78, 0.76], [0.72, 0.50, 0.10]],
-                Look::Realistic => [[0.70, 0.69, 0.65], [0.66, 0.46, 0.12]],
-                Look::Game => [[0.98, 0.98, 1.0], [0.95, 0.70, 0.02]],
-            },
-            wear: world.when(
-                Element::Wear,
-                match world.look {
-                    Look::Sim => draws.range("wear", 0.0, 0.75),
-                    Look::Realistic => draws.range("wear", 0.2, 0.9),
-                    Look::Game => 0.05,
-                },
-                0.0,
-            ),
-            wear_seed: draws.seed("wear pattern"),
+            colours: self.colours,
+            wear: self.wear,
+            wear_seed: self.wear_seed,
         }
     }
 }
@@ -125,6 +212,7 @@ pub struct PaintRow<'a> {
     lines: heapless::Vec<(&'a Line, f32), 8>,
     wear: NoiseRow,
     worn: bool,
+    colours: [Colour; 2],
 }
 
 impl<'a> PaintRow<'a> {
@@ -145,6 +233,15 @@ impl<'a> PaintRow<'a> {
                 .collect(),
             wear: NoiseRow::new(layout.wear_seed, s_m / 0.35),
             worn: length_m < 2.0,
+            colours: layout.colours,
+        }
+    }
+
+    /// The same paint when it sends `times` as much of the light back to the car.
+    pub fn reflecting(self, times: f32) -> Self {
+        Self {
+            colours: self.colours.map(|colour| scaled(colour, times)),
+            ..self
         }
     }
 
@@ -204,11 +301,7 @@ impl<'a> PaintRow<'a> {
         let paints = shares.iter().zip(&yellow);
         for ((colour, grain), (share, yellow)) in colours.iter_mut().zip(&grains).zip(paints) {
             let kept = 1.0 - self.layout.wear * (0.35 + 0.65 * grain);
-            *colour = blended(
-                *colour,
-                self.layout.colours[usize::from(*yellow)],
-                share * kept,
-            );
+            *colour = blended(*colour, self.colours[usize::from(*yellow)], share * kept);
         }
     }
 }
@@ -251,7 +344,7 @@ mod tests {
     #[test]
     fn the_ego_lane_lies_between_two_lines() {
         for seed in 0..200 {
-            let layout = Layout::new(Draws(seed), &World::default());
+            let layout = Cross::new(Draws(seed), &World::default()).layout();
             let left = layout
                 .lines
                 .iter()

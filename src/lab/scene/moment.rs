@@ -1,13 +1,17 @@
 //! One moment of a drive, as a camera sees it: the ground and the objects on it become light, depth and labels.
 
+use std::borrow::Cow;
+
 use super::Drive;
 use super::canvas::Canvas;
-use super::conditions::{ConditionKind, SNOW_VERGE, Severities, graded};
-use super::light::{Colour, blended, scaled};
+use super::conditions::{ConditionKind, NIGHT_DAYLIGHT, SNOW_VERGE, Severities, graded};
+use super::light::{Colour, Light, blended, scaled};
 use super::projection::{GroundRow, GroundView, Projection};
 use super::road::{Pose, RoadAhead};
+use super::surroundings::Surroundings;
 use super::textures::SNOW;
 use super::tunnel::Tunnel;
+use super::way::Way;
 use crate::model::vectors::Vectors;
 
 /// One moment of a drive and the camera that looks at it.
@@ -20,6 +24,9 @@ pub(super) struct Moment<'a> {
     pub projection: Projection,
     pub view: GroundView,
     pub tunnel: Option<Tunnel>,
+    pub way: Way<'a>,
+    pub light: Cow<'a, Light>,
+    pub surroundings: Cow<'a, Surroundings>,
 }
 
 impl<'a> Moment<'a> {
@@ -33,6 +40,7 @@ impl<'a> Moment<'a> {
         height: usize,
     ) -> Self {
         let ahead = drive.road.ahead(&pose);
+        let way = Way::new(drive, pose.s_m);
         Self {
             drive,
             t_s,
@@ -43,11 +51,14 @@ impl<'a> Moment<'a> {
             tunnel: Tunnel::near(
                 &drive.conditions,
                 &drive.road,
-                drive.layout.asphalt_m,
+                way.layout(pose.s_m).asphalt_m,
                 pose.s_m,
                 drive.seed,
             ),
             ahead,
+            light: way.light(t_s),
+            surroundings: way.surroundings(),
+            way,
         }
     }
 
@@ -89,12 +100,21 @@ impl<'a> Moment<'a> {
     /// The sky in the compass directions `azimuths` at one elevation, radians.
     #[inline(always)]
     pub(super) fn sky(&self, azimuths: &[f32], elevation: f32, colours: &mut [Colour]) {
-        self.drive.light.sky(azimuths, elevation, colours);
+        self.light.sky(azimuths, elevation, colours);
         let snow = self.snow_on_verge();
         if snow > 0.0 {
             for colour in colours {
                 *colour = blended(*colour, [0.74, 0.76, 0.79], 0.8 * snow);
             }
+        }
+    }
+
+    /// How dark the night is, 0 to 1, if nothing but lamps gives light; else 0.
+    pub(super) fn unlit_dark(&self) -> f32 {
+        if self.drive.unlit {
+            1.0 - graded(NIGHT_DAYLIGHT, self.severities.of(ConditionKind::Night))
+        } else {
+            0.0
         }
     }
 
@@ -111,17 +131,17 @@ impl<'a> Moment<'a> {
             .position(Option::is_some)
             .unwrap_or(canvas.height);
         let hill = blended(
-            self.drive.surroundings.hill_colour(),
+            self.surroundings.hill_colour(),
             SNOW,
             0.7 * self.snow_on_verge(),
         );
-        let hill = scaled(hill, self.drive.light.ground[1]);
+        let hill = scaled(hill, self.light.ground[1]);
         let azimuths = self.azimuths(0.5, canvas.width);
         let compass = self.compass();
         let hills_px: Vec<f32> = (0..canvas.width)
             .map(|x| {
                 let ahead = (x as f32 + 0.5 - self.projection.centre_x) / self.projection.focal_px;
-                let hills = self.drive.surroundings.hills(f64::from(ahead) + compass);
+                let hills = self.surroundings.hills(f64::from(ahead) + compass);
                 hills * self.projection.focal_px
             })
             .collect();

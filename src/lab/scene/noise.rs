@@ -2,6 +2,8 @@
 //!
 //! Only integer arithmetic and IEEE additions and products are used, so that results are equal bit for bit everywhere.
 
+use std::sync::OnceLock;
+
 /// Number of pixels of an image row whose noise is calculated at once, which fills the vectors of any processor.
 pub const BLOCK: usize = 32;
 
@@ -34,8 +36,9 @@ fn lattice(x: f64) -> (i32, f32) {
     (cell as i64 as i32, (x - cell) as f32)
 }
 
+/// A smooth step of a share from 0 to 1.
 #[inline(always)]
-fn smooth(t: f32) -> f32 {
+pub fn smooth(t: f32) -> f32 {
     t * t * (3.0 - 2.0 * t)
 }
 
@@ -145,6 +148,25 @@ impl NoiseColumn {
         let far = mix(corner(cell, next_column), corner(next, next_column), t);
         mix(near, far, self.t)
     }
+}
+
+/// Rough noise of two coordinates from 0 to 2^22, `0..1`, which repeats after 64 in both. It is read from a table, for
+/// surfaces that cover much of the picture.
+#[inline(always)]
+pub fn rough(x: f32, y: f32) -> f32 {
+    const SIDE: usize = 64;
+    static TABLE: OnceLock<Box<[f32; SIDE * SIDE]>> = OnceLock::new();
+    let table = TABLE.get_or_init(|| {
+        Box::new(std::array::from_fn(|i| {
+            unit(hash(0x40C4, (i % SIDE) as i32, (i / SIDE) as i32))
+        }))
+    });
+    let (column, row) = (whole(x) as usize, whole(y) as usize);
+    let at = |column: usize, row: usize| table[(row % SIDE) * SIDE + column % SIDE];
+    let (across, down) = (x - x.floor(), y - y.floor());
+    let above = mix(at(column, row), at(column + 1, row), across);
+    let below = mix(at(column, row + 1), at(column + 1, row + 1), across);
+    mix(above, below, down)
 }
 
 /// The whole part of a number from 0 to 2^22. Unlike a cast, this can be done for several numbers at once.

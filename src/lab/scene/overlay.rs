@@ -105,7 +105,7 @@ impl Overlay {
             canvas = turned(&canvas, askew, projection.focal_px);
         }
         let time_seed = hash(self.seed, (t_s * 1_000.0).round() as i64 as i32, 0x71);
-        weather::apply(&mut canvas, &projection, severities, 0.0, time_seed);
+        weather::apply(&mut canvas, &projection, severities, 0.0, false, time_seed);
         lens::apply(&mut canvas, &projection, severities, 0.0, self.seed);
         let gain = self.sensor.gain(&self.conditions, t_s);
         let mut rgb = picture.rgb;

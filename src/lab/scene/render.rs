@@ -54,13 +54,18 @@ impl Renderer {
         let label_half_px = LABEL_HALF_WIDTH_PX * canvas.width as f32 / 320.0;
         let moment =
             |projection, height| Moment::new(drive, t_s, severities, pose, projection, height);
+        let (extinction, gain_along);
         if margin_px == 0 {
-            moment(projection, canvas.height).paint(label_half_px, canvas, &mut self.mask);
+            let moment = moment(projection, canvas.height);
+            (extinction, gain_along) = (moment.light.extinction, moment.way.gain(t_s));
+            moment.paint(label_half_px, canvas, &mut self.mask);
         } else {
             let mut wide = Canvas::new(canvas.width + 2 * margin_px, canvas.height + 2 * margin_px);
             let mut wide_mask = vec![0; wide.light.len()];
             let projection = projection.with_margin(margin_px);
-            moment(projection, wide.height).paint(label_half_px, &mut wide, &mut wide_mask);
+            let moment = moment(projection, wide.height);
+            (extinction, gain_along) = (moment.light.extinction, moment.way.gain(t_s));
+            moment.paint(label_half_px, &mut wide, &mut wide_mask);
             askew.roll_into((&wide, &wide_mask), margin_px, (canvas, &mut self.mask));
         }
         let time_seed = hash(drive.seed, (t_s * 1_000.0).round() as i64 as i32, 0x71);
@@ -68,7 +73,8 @@ impl Renderer {
             canvas,
             &projection,
             &severities,
-            drive.light.extinction,
+            extinction,
+            drive.unlit,
             time_seed,
         );
         lens::apply(
@@ -78,7 +84,7 @@ impl Renderer {
             drive.sensor.softness,
             drive.seed,
         );
-        let gain = drive.light.exposure * drive.sensor.gain(&drive.conditions, t_s);
+        let gain = drive.light.exposure * drive.sensor.gain(&drive.conditions, t_s) * gain_along;
         drive
             .sensor
             .expose(canvas, gain, &severities, time_seed, &mut self.rgb);

@@ -76,18 +76,9 @@ impl Sensor {
     /// Gain that the exposure has reached at `t_s` under `conditions`: a mean of the gains that the past light
     /// required, in stops, weighted by age.
     pub fn gain(&self, conditions: &[Condition], t_s: f64) -> f32 {
-        if !self.adapts || conditions.is_empty() {
-            return wanted_gain(&severities_at(conditions, t_s));
-        }
-        let (mut sum, mut weights) = (0.0, 0.0);
-        for step in 0..STEPS {
-            let ago = 0.25 * f64::from(step);
-            let weight = libm::exp(-ago) as f32;
-            let severities = severities_at(conditions, t_s - ago * ADAPTATION_S);
-            sum += weight * libm::logf(wanted_gain(&severities));
-            weights += weight;
-        }
-        libm::expf(sum / weights)
+        follow(self.adapts && !conditions.is_empty(), |ago_s| {
+            wanted_gain(&severities_at(conditions, t_s - ago_s))
+        })
     }
 
     /// Turns linear light into 8-bit RGB `[H, W, 3]`.
@@ -164,6 +155,22 @@ impl Sensor {
             seen * seen
         })
     }
+}
+
+/// Gain that an exposure has reached, from the gains that the light of the past requires; one that does not adapt slowly
+/// follows at once.
+pub fn follow(adapts: bool, wanted: impl Fn(f64) -> f32) -> f32 {
+    if !adapts {
+        return wanted(0.0);
+    }
+    let (mut sum, mut weights) = (0.0, 0.0);
+    for step in 0..STEPS {
+        let ago = 0.25 * f64::from(step);
+        let weight = libm::exp(-ago) as f32;
+        sum += weight * libm::logf(wanted(ago * ADAPTATION_S));
+        weights += weight;
+    }
+    libm::expf(sum / weights)
 }
 
 /// Gain that the present light requires; the sensor follows the light only over about two stops.

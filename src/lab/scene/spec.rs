@@ -63,7 +63,7 @@ pub enum SpecError {
     },
     /// A parameter is unknown or has a value out of range.
     #[error(
-        "scene parameter {0:?}: wanted seed=N, seconds=0.1..86400, fps=0.1..240, size=WxH, without=ELEMENT or condition=KIND:SEVERITY[@FROM-TO]"
+        "scene parameter {0:?}: wanted seed=N, seconds=0.1..86400, fps=0.1..240, size=WxH, stretch=0 or 100..10000, unlit=0 or 1, without=ELEMENT or condition=KIND:SEVERITY[@FROM-TO]"
     )]
     Parameter(String),
     /// A condition cannot be read.
@@ -105,6 +105,14 @@ impl FromStr for DriveSpec {
                 "seed" => spec.seed = value.parse().map_err(|_| wrong())?,
                 "seconds" => spec.seconds = number(0.1..=86_400.0)?,
                 "fps" => spec.fps = number(0.1..=240.0)?,
+                "stretch" => spec.world.stretch_m = stretch_m(value).ok_or_else(wrong)?,
+                "unlit" => {
+                    spec.world.unlit = match value {
+                        "0" => false,
+                        "1" => true,
+                        _ => return Err(wrong()),
+                    }
+                }
                 "size" => spec.size_px = size(value).ok_or_else(wrong)?,
                 "without" => {
                     let element = value.parse().map_err(|error| look_or_element(value, error));
@@ -124,6 +132,12 @@ impl FromStr for DriveSpec {
     }
 }
 
+/// Reads the mean length of a stretch, whole metres.
+fn stretch_m(text: &str) -> Option<u32> {
+    let stretch_m = text.parse().ok()?;
+    (stretch_m == 0 || (100..=10_000).contains(&stretch_m)).then_some(stretch_m)
+}
+
 /// Reads `WxH`, each side from 16 to 8192.
 fn size(text: &str) -> Option<(u32, u32)> {
     let side = |side: &str| side.parse().ok().filter(|s| (16..=8_192).contains(s));
@@ -138,10 +152,12 @@ mod tests {
 
     #[test]
     fn a_drive_is_read_with_its_defaults() {
-        let spec: DriveSpec = "sim?seed=7&condition=fog:3@20-40&condition=dirt:1&without=traffic"
-            .parse()
-            .unwrap();
+        let spec: DriveSpec =
+            "sim?seed=7&condition=fog:3@20-40&condition=dirt:1&without=traffic&stretch=400&unlit=1"
+                .parse()
+                .unwrap();
         assert_eq!(spec.world.without, [super::super::Element::Traffic]);
+        assert_eq!((spec.world.stretch_m, spec.world.unlit), (400, true));
         assert_eq!((spec.seed, spec.seconds, spec.fps), (7, 60.0, 10.0));
         assert_eq!(spec.conditions.len(), 2);
     }
@@ -153,6 +169,11 @@ mod tests {
             ("sim?speed=3", "speed=3"),
             ("sim?fps=0", "fps=0"),
             ("sim?size=8x8", "size=8x8"),
+            ("sim?stretch=99", "stretch=99"),
+            ("sim?stretch=-1", "stretch=-1"),
+            ("sim?stretch=10001", "stretch=10001"),
+            ("sim?stretch=4e2", "stretch=4e2"),
+            ("sim?unlit=yes", "unlit=yes"),
             ("sim?without=rain", "no such element; wanted curves"),
             ("sim?seconds=inf", "seconds=inf"),
             ("sim?condition=fog", "scene condition \"fog\": wanted KIND"),

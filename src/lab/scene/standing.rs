@@ -1,49 +1,88 @@
 //! Paints the objects on the road and beside it, the farthest first: vehicles, rails, trees, buildings, posts.
 
+use super::belts::BeltPiece;
+use super::bridge::Bridge;
 use super::canvas::{Canvas, Lamp};
 use super::light::{Colour, blended, scaled};
 use super::moment::Moment;
-use super::noise::value_noise;
+use super::noise::{rough, value_noise};
+use super::road::Node;
 use super::surroundings::{ObjectKind, Rail, RoadsideObject};
 use super::textures::SNOW;
 use super::traffic::Vehicle;
+
+/// Distance between posts with reflectors, and up to which they shine, metres.
+const REFLECTORS_M: (f64, f32) = (25.0, 160.0);
+/// Length over which a rail rises from the ground, metres.
+const RAIL_RAMP_M: f32 = 8.0;
 
 /// An object, with its distance beside it.
 enum Standing<'a> {
     Roadside(RoadsideObject),
     Vehicle(Vehicle),
-    /// A rail, its offset from the middle of the ego lane, and the point of the road at its far end.
-    Rail(&'a Rail, f32, usize),
+    /// A rail, its side (0 left, 1 right), its ends, and the point of the road at the far end of the piece.
+    Rail(&'a Rail, usize, (f64, f64), usize),
+    /// A piece of a belt along the road.
+    Belt(BeltPiece<'a>),
+    Bridge(&'a Bridge),
 }
 
 impl Moment<'_> {
     /// Paints the objects on the road and beside it, the farthest first.
     pub(super) fn paint_standing(&self, canvas: &mut Canvas, mask: &mut [u8]) {
         let (drive, s_m) = (self.drive, self.pose.s_m);
-        let edges_m = drive.layout.asphalt_m;
         let hidden = |z_m: f32| self.tunnel.as_ref().is_some_and(|t| t.covers(z_m));
-        let mut standing: Vec<(f32, Standing)> = drive
-            .surroundings
-            .objects(s_m + 5.0, s_m + 260.0, edges_m)
-            .map(|object| ((object.s_m - s_m) as f32, Standing::Roadside(object)))
-            .collect();
-        let vehicles = drive
+        let changing = self.way.has_roadsides();
+        let seen = |object: RoadsideObject| {
+            let z_m = (object.s_m - s_m) as f32;
+            (z_m, Standing::Roadside(object))
+        };
+        let mut standing: Vec<(f32, Standing)> = if changing {
+            self.changing_objects().into_iter().map(seen).collect()
+        } else {
+            let objects =
+                drive
+                    .surroundings
+                    .objects(s_m + 5.0, s_m + 260.0, drive.layout.asphalt_m);
+            objects.map(seen).collect()
+        };
+        standing.extend(
+            self.belt_pieces()
+                .map(|(z_m, piece)| (z_m, Standing::Belt(piece))),
+        );
+        standing.extend(
+            self.bridges_ahead()
+                .map(|(z_m, bridge)| (z_m, Standing::Bridge(bridge))),
+        );
+        let mut vehicles = drive
             .traffic
-            .ahead(self.t_s, &self.pose, &drive.road, &drive.layout);
+            .ahead(self.t_s, &self.pose, &drive.road, &self.way);
+        if changing {
+            vehicles.extend(self.parked());
+        }
         standing.extend(
             vehicles
                 .into_iter()
                 .map(|vehicle| (vehicle.z_m, Standing::Vehicle(vehicle))),
         );
-        let sides = [(edges_m.0, -1.0), (edges_m.1, 1.0)];
-        for (rail, (edge_m, side)) in drive.surroundings.rails.iter().zip(sides) {
-            let Some(rail) = rail else { continue };
-            let d_m = edge_m + side * rail.clear_m;
-            standing.extend((1..self.ahead.nodes.len()).filter_map(|node| {
-                let z_m = self.ahead.nodes[node].z_m;
-                let near = (1.0..180.0).contains(&z_m) && self.ahead.nodes[node - 1].z_m >= 1.0;
-                near.then_some((z_m, Standing::Rail(rail, d_m, node)))
-            }));
+        for (side, rails) in [0, 1]
+            .map(|side| self.way.rails(side))
+            .into_iter()
+            .enumerate()
+        {
+            for (rail, ends_m) in rails {
+                standing.extend((1..self.ahead.nodes.len()).filter_map(|node| {
+                    let (near_m, z_m) =
+                        (self.ahead.nodes[node - 1].z_m, self.ahead.nodes[node].z_m);
+                    let near = (1.0..180.0).contains(&z_m) && near_m >= 1.0;
+                    let there =
+                        ends_m.0 < s_m + f64::from(z_m) && s_m + f64::from(near_m) < ends_m.1;
+                    (near && there).then_some((z_m, Standing::Rail(rail, side, ends_m, node)))
+                }));
+            }
+        }
+        if self.unlit_dark() > 0.0 {
+            self.push_reflectors(canvas);
         }
         standing.sort_by(|a, b| b.0.total_cmp(&a.0));
         for (z_m, standing) in &standing {
@@ -51,41 +90,95 @@ impl Moment<'_> {
                 Standing::Vehicle(vehicle) => self.paint_vehicle(vehicle, canvas, mask),
                 _ if hidden(*z_m) => {}
                 Standing::Roadside(object) => self.paint_roadside(object, *z_m, canvas, mask),
-                Standing::Rail(rail, d_m, node) => {
-                    self.paint_rail(rail, *d_m, *node, canvas, mask);
+                Standing::Rail(rail, side, ends_m, node) => {
+                    self.paint_rail(rail, *side, *ends_m, *node, canvas, mask);
                 }
+                Standing::Belt(piece) => self.paint_belt(*piece, canvas, mask),
+                Standing::Bridge(bridge) => self.paint_bridge(bridge, canvas, mask),
             }
         }
     }
 
-    /// Paints a rail between two points of the road; `node` is the farther one.
-    fn paint_rail(&self, rail: &Rail, d_m: f32, node: usize, canvas: &mut Canvas, mask: &mut [u8]) {
-        let ends = [self.ahead.nodes[node - 1], self.ahead.nodes[node]].map(|node| {
-            let x_m = d_m + node.lateral_m - self.pose.sway_m - self.drive.camera.aside_m;
-            (
-                self.projection.column(x_m, node.z_m),
-                self.projection.row(node.rise_m + rail.height_m.1, node.z_m),
-                self.projection.row(node.rise_m + rail.height_m.0, node.z_m),
-                node.z_m,
-            )
+    /// The foot and the top of what stands at the offset `d_m` beside a point of the road, between two heights.
+    pub(super) fn corner(&self, node: &Node, d_m: f32, heights_m: (f32, f32)) -> Corner {
+        let x_m = d_m + node.lateral_m - self.pose.sway_m - self.drive.camera.aside_m;
+        Corner {
+            x: self.projection.column(x_m, node.z_m),
+            top: self.projection.row(node.rise_m + heights_m.1, node.z_m),
+            foot: self.projection.row(node.rise_m + heights_m.0, node.z_m),
+            z_m: node.z_m,
+        }
+    }
+
+    /// Paints a piece of a rail between two points of the road; `node` is the farther one. A rail sinks into the ground
+    /// at its ends.
+    fn paint_rail(
+        &self,
+        rail: &Rail,
+        side: usize,
+        ends_m: (f64, f64),
+        node: usize,
+        canvas: &mut Canvas,
+        mask: &mut [u8],
+    ) {
+        let ends = [node - 1, node].map(|node| {
+            let node = &self.ahead.nodes[node];
+            let s_m = self.pose.s_m + f64::from(node.z_m);
+            let edges_m = self.way.layout(s_m).asphalt_m;
+            let d_m = if side == 0 {
+                edges_m.0 - rail.clear_m
+            } else {
+                edges_m.1 + rail.clear_m
+            };
+            let inside_m = (s_m - ends_m.0).min(ends_m.1 - s_m) as f32;
+            let raised = (inside_m / RAIL_RAMP_M).clamp(0.0, 1.0);
+            let (low_m, high_m) = rail.height_m;
+            self.corner(node, d_m, (low_m * raised, high_m * raised))
         });
-        let [near, far] = ends;
-        let (left, right) = (near.0.min(far.0), near.0.max(far.0));
-        let crest = self.view.crest(near.3);
-        let light = self.drive.light.ground;
-        for x in Board::pixels(left - 0.5, right + 0.5, canvas.width) {
-            let across = ((x as f32 + 0.5 - near.0) / (far.0 - near.0)).clamp(0.0, 1.0);
+        let light = self.light.ground;
+        let shade = self
+            .way
+            .shade(self.pose.s_m + f64::from(ends[1].z_m))
+            .left();
+        self.paint_panel(
+            &ends,
+            canvas,
+            mask,
+            |_| (),
+            |(), up| {
+                let tone = 0.7 + 0.3 * up;
+                Some([0, 1, 2].map(|c| rail.colour[c] * light[c] * tone * shade))
+            },
+        );
+    }
+
+    /// Paints what stands between a near and a far corner. `column` gives what is the same in a column of the picture
+    /// from its distance, and `colour` the colour at a share of the height; both edges are softened.
+    pub(super) fn paint_panel<T>(
+        &self,
+        [near, far]: &[Corner; 2],
+        canvas: &mut Canvas,
+        mask: &mut [u8],
+        column: impl Fn(f32) -> T,
+        colour: impl Fn(&T, f32) -> Option<Colour>,
+    ) {
+        let (left, right) = (near.x.min(far.x), near.x.max(far.x));
+        let crest = self.view.crest(near.z_m);
+        for x in pixels(left - 0.5, right + 0.5, canvas.width) {
+            let across = ((x as f32 + 0.5 - near.x) / (far.x - near.x)).clamp(0.0, 1.0);
             let across = if across.is_nan() { 0.0 } else { across };
             let at = |near: f32, far: f32| near + across * (far - near);
-            let (top, foot) = (at(near.1, far.1), at(near.2, far.2).min(crest));
+            let (top, foot) = (at(near.top, far.top), at(near.foot, far.foot).min(crest));
             // Along a line in the picture, distances are evenly spaced in 1/z.
-            let z_m = 1.0 / at(1.0 / near.3, 1.0 / far.3);
-            for y in Board::pixels(top - 0.5, foot + 0.5, canvas.height) {
+            let z_m = 1.0 / at(1.0 / near.z_m, 1.0 / far.z_m);
+            let column = column(z_m);
+            for y in pixels(top - 0.5, foot + 0.5, canvas.height) {
                 let cover = (foot.min(y as f32 + 1.0) - top.max(y as f32)).clamp(0.0, 1.0);
                 let up = (foot - (y as f32 + 0.5)) / (foot - top).max(0.1);
-                let tone = 0.7 + 0.3 * up.clamp(0.0, 1.0);
+                let Some(colour) = colour(&column, up.clamp(0.0, 1.0)) else {
+                    continue;
+                };
                 let pixel = y * canvas.width + x;
-                let colour = [0, 1, 2].map(|c| rail.colour[c] * light[c] * tone);
                 canvas.light[pixel] = blended(canvas.light[pixel], colour, cover);
                 if cover > 0.5 {
                     canvas.depth_m[pixel] = z_m;
@@ -114,6 +207,35 @@ impl Moment<'_> {
         (board.right > 0.0 && board.top < board.crest).then_some(board)
     }
 
+    /// Reflectors on posts along the edges of the road, which send the light of the own lamps back.
+    fn push_reflectors(&self, canvas: &mut Canvas) {
+        let post = |z_m: f64| ((self.pose.s_m + z_m) / REFLECTORS_M.0).floor() as i64;
+        for post in post(8.0)..post(f64::from(REFLECTORS_M.1)) {
+            let s_m = (post + 1) as f64 * REFLECTORS_M.0;
+            let z_m = (s_m - self.pose.s_m) as f32;
+            let Some(node) = self.ahead.at(z_m) else {
+                continue;
+            };
+            let edges_m = self.way.layout(s_m).asphalt_m;
+            let bright = 0.5 * (1.0 - z_m / REFLECTORS_M.1) * (1.0 - z_m / REFLECTORS_M.1);
+            for d_m in [edges_m.0 - 0.6, edges_m.1 + 0.6] {
+                let corner = self.corner(&node, d_m, (0.0, 0.8));
+                if corner.top < self.view.crest(z_m) {
+                    canvas.lamps.push(Lamp {
+                        at: (corner.x, corner.top),
+                        radius_px: 0.05 * self.projection.focal_px / z_m,
+                        colour: scaled([1.0, 0.9, 0.7], bright),
+                    });
+                }
+            }
+        }
+    }
+
+    /// The light on an object at an arc length.
+    fn light_on(&self, s_m: f64) -> Colour {
+        scaled(self.light.ground, self.way.shade(s_m).left())
+    }
+
     fn paint_roadside(
         &self,
         object: &RoadsideObject,
@@ -124,7 +246,7 @@ impl Moment<'_> {
         let Some(board) = self.board(z_m, object.d_m, object.size_m) else {
             return;
         };
-        let sun = self.drive.light.ground;
+        let sun = self.light_on(object.s_m);
         let seed = object.seed;
         let snow = 0.5 * self.snow_on_verge();
         board.paint(canvas, mask, |across, up| {
@@ -152,6 +274,21 @@ impl Moment<'_> {
                         return None;
                     }
                 }
+                ObjectKind::HighTree => {
+                    let (width_m, height_m) = object.size_m;
+                    let (dx, dy) = (2.0 * across - 1.0, (up - 0.64) / 0.36);
+                    let place = (seed & 0xFF) as f32;
+                    let bough = rough(place + 0.5 * across * width_m, 0.5 * up * height_m);
+                    let leaf = rough(place + 1.6 * across * width_m, 1.6 * up * height_m);
+                    let ragged = 0.6 * bough + 0.4 * leaf;
+                    if dx * dx + dy * dy < 0.45 + 0.75 * ragged {
+                        0.35 + 0.5 * ragged + 0.5 * leaf * up
+                    } else if up < 0.5 && dx.abs() < 0.05 {
+                        0.7
+                    } else {
+                        return None;
+                    }
+                }
                 ObjectKind::Building => {
                     let pane =
                         (across * 6.0).fract() > 0.35 && (up * 5.0).fract() > 0.4 && up < 0.92;
@@ -172,7 +309,7 @@ impl Moment<'_> {
         let Some(board) = self.board(vehicle.z_m, vehicle.d_m, vehicle.size_m) else {
             return;
         };
-        let sun = self.drive.light.ground;
+        let sun = self.light_on(self.pose.s_m + f64::from(vehicle.z_m));
         board.shadow(canvas);
         let lamp = if vehicle.oncoming {
             [0.8, 0.8, 0.75]
@@ -207,6 +344,9 @@ impl Moment<'_> {
                 lit(vehicle.colour, 0.75 + 0.35 * up)
             }
         });
+        if vehicle.parked {
+            return;
+        }
         for side in [0.12, 0.88] {
             canvas.lamps.push(Lamp {
                 at: (
@@ -220,6 +360,14 @@ impl Moment<'_> {
     }
 }
 
+/// Where the end of something that stands along the road is in the picture, pixels.
+pub(super) struct Corner {
+    pub x: f32,
+    pub top: f32,
+    pub foot: f32,
+    pub z_m: f32,
+}
+
 /// An upright rectangle in the picture, pixels.
 struct Board {
     left: f32,
@@ -231,12 +379,13 @@ struct Board {
     z_m: f32,
 }
 
-impl Board {
-    fn pixels(from: f32, to: f32, limit: usize) -> std::ops::Range<usize> {
-        let inside = |v: f32| v.clamp(0.0, limit as f32);
-        inside((from - 0.5).ceil()) as usize..inside((to + 0.5).floor()) as usize
-    }
+/// The pixels between two places, inside `limit`.
+pub(super) fn pixels(from: f32, to: f32, limit: usize) -> std::ops::Range<usize> {
+    let inside = |v: f32| v.clamp(0.0, limit as f32);
+    inside((from - 0.5).ceil()) as usize..inside((to + 0.5).floor()) as usize
+}
 
+impl Board {
     /// Paints where `colour_at(across, up)` has a colour, with both arguments from 0 to 1; it hides labels behind it.
     fn paint(
         &self,
@@ -245,9 +394,9 @@ impl Board {
         colour_at: impl Fn(f32, f32) -> Option<Colour>,
     ) {
         let (width_px, height_px) = (self.right - self.left, self.foot - self.top);
-        for y in Self::pixels(self.top, self.foot.min(self.crest), canvas.height) {
+        for y in pixels(self.top, self.foot.min(self.crest), canvas.height) {
             let up = ((self.foot - (y as f32 + 0.5)) / height_px).clamp(0.0, 1.0);
-            for x in Self::pixels(self.left, self.right, canvas.width) {
+            for x in pixels(self.left, self.right, canvas.width) {
                 let column = x as f32 + 0.5;
                 let across = ((column - self.left) / width_px).clamp(0.0, 1.0);
                 if let Some(colour) = colour_at(across, up) {
@@ -271,9 +420,9 @@ impl Board {
     fn shadow(&self, canvas: &mut Canvas) {
         let width_px = self.right - self.left;
         let reach = 0.12 * width_px;
-        for y in Self::pixels(self.foot - 0.4 * reach, self.foot + reach, canvas.height) {
+        for y in pixels(self.foot - 0.4 * reach, self.foot + reach, canvas.height) {
             let down = ((y as f32 + 0.5 - self.foot) / reach).abs().min(1.0);
-            for x in Self::pixels(self.left - reach, self.right + reach, canvas.width) {
+            for x in pixels(self.left - reach, self.right + reach, canvas.width) {
                 let pixel = y * canvas.width + x;
                 let light = canvas.light[pixel];
                 canvas.light[pixel] = scaled(light, 0.35 + 0.6 * down * down);

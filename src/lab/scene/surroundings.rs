@@ -11,7 +11,8 @@ pub struct Surroundings {
     /// Textures of the ground.
     pub textures: Textures,
     hill_seed: u32,
-    hill_height: f32,
+    /// Height of the far hills, radians.
+    pub hill_height: f32,
     object_seed: u32,
     object_density: f32,
     buildings: f32,
@@ -55,6 +56,8 @@ pub enum ObjectKind {
     Tree,
     /// A cone on a short trunk.
     Conifer,
+    /// A crown high above a trunk.
+    HighTree,
     /// A box with rows of windows.
     Building,
     /// A thin post; some posts have a plate.
@@ -62,7 +65,7 @@ pub enum ObjectKind {
 }
 
 /// Spacing of the roadside grid, whose cells may hold one object on each side, metres.
-const OBJECT_CELL_M: f64 = 9.0;
+pub const OBJECT_CELL_M: f64 = 9.0;
 
 impl Surroundings {
     /// The surroundings of a drive.
@@ -87,6 +90,14 @@ impl Surroundings {
                 let rail = Draws(draws.seed(name));
                 (world.has(Element::Rails) && rail.chance("there", 0.35)).then(|| Rail::new(rail))
             }),
+        }
+    }
+
+    /// These surroundings with hills of another height, radians.
+    pub fn with_hills(&self, hill_height: f32) -> Self {
+        Self {
+            hill_height,
+            ..self.clone()
         }
     }
 
@@ -132,6 +143,26 @@ impl Surroundings {
         } else {
             ObjectKind::Tree
         };
+        Some(RoadsideObject::drawn(
+            draws,
+            kind,
+            cell,
+            (side, edge_m),
+            1.0,
+        ))
+    }
+}
+
+impl RoadsideObject {
+    /// The object in a cell of the grid on the side `side` (-1 left, 1 right) of the asphalt, which ends at `edge_m`;
+    /// its distance from there is `clear` times that on roads that do not change.
+    pub fn drawn(
+        draws: Draws,
+        kind: ObjectKind,
+        cell: i32,
+        (side, edge_m): (f32, f32),
+        clear: f32,
+    ) -> Self {
         let (clear_m, size_m, colour) = match kind {
             ObjectKind::Conifer => (
                 draws.range("clear", 2.0, 14.0),
@@ -148,6 +179,15 @@ impl Surroundings {
                 blended(
                     [0.05, 0.13, 0.03],
                     [0.16, 0.17, 0.06],
+                    draws.range("hue", 0.0, 1.0),
+                ),
+            ),
+            ObjectKind::HighTree => (
+                draws.range("clear", 2.0, 12.0),
+                (draws.range("w", 4.0, 9.0), draws.range("h", 9.0, 22.0)),
+                blended(
+                    [0.03, 0.08, 0.02],
+                    [0.13, 0.14, 0.05],
                     draws.range("hue", 0.0, 1.0),
                 ),
             ),
@@ -173,19 +213,20 @@ impl Surroundings {
                 ),
             ),
         };
-        Some(RoadsideObject {
+        Self {
             s_m: (f64::from(cell) + f64::from(unit(draws.seed("place")))) * OBJECT_CELL_M,
-            d_m: edge_m + side * (clear_m + 0.5 * size_m.0),
+            d_m: edge_m + side * (clear_m * clear + 0.5 * size_m.0),
             size_m,
             kind,
             colour,
             seed: draws.0,
-        })
+        }
     }
 }
 
 impl Rail {
-    fn new(draws: Draws) -> Self {
+    /// A rail with draws of its own.
+    pub fn new(draws: Draws) -> Self {
         let concrete = draws.chance("concrete", 0.4);
         let grey = draws.range("grey", 0.25, 0.55);
         Self {

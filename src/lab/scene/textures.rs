@@ -88,6 +88,40 @@ impl Textures {
         }
     }
 
+    /// The textures of a stretch of a road that changes; `paved` is whether the verge is a pavement, or `None` if the
+    /// verge stays.
+    pub fn changed(&self, draws: Draws, world: &World, paved: Option<bool>) -> Self {
+        let drawn = Self::new(draws, world);
+        let ground = if world.has(Element::Surface) {
+            &drawn
+        } else {
+            self
+        };
+        let (verge, verge_texture) = match paved {
+            None => (self.verge, self.verge_texture),
+            Some(false) => (drawn.verge, drawn.verge_texture),
+            Some(true) => {
+                let grey = draws.range("pavement", 0.16, 0.34);
+                (scaled([1.0, 0.98, 0.94], grey), 0.35 * drawn.verge_texture)
+            }
+        };
+        Self {
+            verge,
+            verge_texture,
+            verge_seed: self.verge_seed,
+            ..ground.clone()
+        }
+    }
+
+    /// These textures with the verge on the way to that of `other`.
+    pub fn with_verge_towards(&self, other: &Self, share: f32) -> Self {
+        Self {
+            verge: blended(self.verge, other.verge, share),
+            verge_texture: self.verge_texture + share * (other.verge_texture - self.verge_texture),
+            ..self.clone()
+        }
+    }
+
     /// The textures along one image row at arc length `s_m`; `length_m` is the length of road that the row shows.
     pub fn row(&self, s_m: f64, length_m: f32) -> TextureRow<'_> {
         let across = self.joints.is_some_and(|(_, spacing_m)| {

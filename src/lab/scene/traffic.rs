@@ -5,10 +5,14 @@ use super::light::Colour;
 use super::markings::Layout;
 use super::noise::{Draws, hash, wander};
 use super::road::{Pose, Road};
+use super::way::Way;
 use super::world::{Element, World};
 
 /// Spacing of the grid, whose cells may hold one vehicle, metres.
 const CELL_M: f64 = 34.0;
+
+/// Number of these cells over which the density of the traffic changes.
+const FLOW_CELLS: f64 = 7.0;
 
 /// A vehicle ahead of the car.
 #[derive(Clone, Copy, Debug)]
@@ -23,6 +27,8 @@ pub struct Vehicle {
     pub colour: Colour,
     /// Whether its front is seen instead of its back.
     pub oncoming: bool,
+    /// Whether it is parked, without lamps.
+    pub parked: bool,
 }
 
 /// The traffic of a drive.
@@ -30,6 +36,8 @@ pub struct Vehicle {
 pub struct Traffic {
     draws: Draws,
     density: f32,
+    /// Whether the density changes along each lane.
+    flows: bool,
 }
 
 impl Traffic {
@@ -42,12 +50,30 @@ impl Traffic {
                 draws.range("traffic density", 0.0, 0.55),
                 0.0,
             ),
+            flows: world.stretch_m > 0 && world.has(Element::Flow),
+        }
+    }
+
+    /// Density of the traffic at the place `cell` of a lane.
+    fn density(&self, cell: i32, lane: i32) -> f32 {
+        if self.flows {
+            let seed = self.draws.seed("flow") ^ lane as u32;
+            (self.density + 0.6 * wander(seed, f64::from(cell) / FLOW_CELLS)).clamp(0.0, 0.85)
+        } else {
+            self.density
         }
     }
 
     /// Vehicles between 7 and 160 m ahead, the farthest first.
-    pub fn ahead(&self, t_s: f64, pose: &Pose, road: &Road, layout: &Layout) -> Vec<Vehicle> {
+    pub fn ahead(&self, t_s: f64, pose: &Pose, road: &Road, way: &Way) -> Vec<Vehicle> {
         let mut seen = Vec::new();
+        let layout = way.layout(pose.s_m);
+        // All traffic is faster where the car is faster.
+        let t_s = if way.changes() {
+            (pose.s_m - 1_000.0) / f64::from(road.speed_mps)
+        } else {
+            t_s
+        };
         if self.draws.chance("lead vehicle", 1.2 * self.density) {
             let z_m = self.draws.range("lead distance", 18.0, 70.0)
                 * (1.0 + 0.3 * wander(self.draws.seed("lead breathing"), t_s / 11.0));
@@ -65,16 +91,18 @@ impl Traffic {
                 lane as i32,
                 t_s * f64::from(speed_mps),
                 pose.s_m,
-                middle_m,
+                |layout| layout.lanes_m.get(lane).copied(),
+                way,
                 &mut seen,
             );
         }
-        if let Some(middle_m) = layout.oncoming_m {
+        if layout.oncoming_m.is_some() {
             self.lane_ahead(
                 ONCOMING,
                 -t_s * f64::from(road.speed_mps),
                 pose.s_m,
-                middle_m,
+                |layout| layout.oncoming_m,
+                way,
                 &mut seen,
             );
         }
@@ -88,7 +116,8 @@ impl Traffic {
         lane: i32,
         moved_m: f64,
         ego_s_m: f64,
-        middle_m: f32,
+        middle_m: impl Fn(&Layout) -> Option<f32>,
+        way: &Way,
         seen: &mut Vec<Vehicle>,
     ) {
         let cell = |z_m: f64| ((ego_s_m + z_m - moved_m) / CELL_M).floor() as i32;
@@ -96,7 +125,9 @@ impl Traffic {
             let draws = Draws(hash(self.draws.seed("lane traffic"), k, lane));
             let place_m = (f64::from(k) + f64::from(draws.range("place", 0.2, 0.8))) * CELL_M;
             let z_m = (place_m + moved_m - ego_s_m) as f32;
-            if draws.chance("there", self.density) && (7.0..160.0).contains(&z_m) {
+            if draws.chance("there", self.density(k, lane)) && (7.0..160.0).contains(&z_m) {
+                let layout = way.layout(ego_s_m + f64::from(z_m));
+                let middle_m = middle_m(&layout).unwrap_or_default();
                 seen.push(vehicle(draws, z_m, middle_m, lane == ONCOMING));
             }
         }
@@ -106,7 +137,8 @@ impl Traffic {
 /// The lane number of oncoming traffic.
 const ONCOMING: i32 = -1;
 
-fn vehicle(draws: Draws, z_m: f32, middle_m: f32, oncoming: bool) -> Vehicle {
+/// A vehicle in the lane with its middle at `middle_m`.
+pub fn vehicle(draws: Draws, z_m: f32, middle_m: f32, oncoming: bool) -> Vehicle {
     let lorry = draws.chance("lorry", 0.18);
     Vehicle {
         z_m,
@@ -131,5 +163,6 @@ fn vehicle(draws: Draws, z_m: f32, middle_m: f32, oncoming: bool) -> Vehicle {
             ],
         ),
         oncoming,
+        parked: false,
     }
 }

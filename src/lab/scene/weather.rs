@@ -10,17 +10,26 @@ use super::noise::uniform;
 use super::projection::Projection;
 use crate::model::vectors::Vectors;
 
-/// Applies night, haze, rain and snow in the air; `clear` is the extinction of the air on that day, 1/m.
+/// Applies night, haze, rain and snow in the air; `clear` is the extinction of the air on that day, 1/m. A night may be
+/// `unlit`.
 pub fn apply(
     canvas: &mut Canvas,
     projection: &Projection,
     severities: &Severities,
     clear: f32,
+    unlit: bool,
     time_seed: u32,
 ) {
     let daylight = graded(NIGHT_DAYLIGHT, severities.of(ConditionKind::Night));
-    if daylight < 1.0 {
+    let dark = 1.0 - daylight;
+    let daylight = if unlit { daylight * daylight } else { daylight };
+    if dark > 0.0 && unlit {
+        unlit_night(canvas, projection, daylight, dark);
+    } else if dark > 0.0 {
         night(canvas, projection, daylight);
+    }
+    if dark > 0.0 {
+        lamps(canvas, dark);
     }
     let rain = severities.of(ConditionKind::Rain);
     let snow = severities.of(ConditionKind::Snow);
@@ -33,7 +42,10 @@ pub fn apply(
             canvas,
             projection,
             extinction,
-            scaled([0.74, 0.76, 0.79], daylight.max(0.03)),
+            scaled(
+                [0.74, 0.76, 0.79],
+                daylight.max(if unlit { 0.0 } else { 0.03 }),
+            ),
         );
     }
     if rain > 0.0 {
@@ -53,6 +65,10 @@ pub fn apply(
         );
     }
 }
+
+/// Reach of low beams, metres, and the elevation at which they end, radians.
+const LOW_BEAM_M: f32 = 62.0;
+const LOW_BEAM_CUT_OFF: f32 = 0.035;
 
 fn night(canvas: &mut Canvas, projection: &Projection, daylight: f32) {
     let dark = 1.0 - daylight;
@@ -74,6 +90,31 @@ fn night(canvas: &mut Canvas, projection: &Projection, daylight: f32) {
             }
         },
     );
+}
+
+/// A night in which nothing but lamps gives light: low beams, which light what is near and low.
+fn unlit_night(canvas: &mut Canvas, projection: &Projection, daylight: f32, dark: f32) {
+    let rows = canvas.light.chunks_exact_mut(canvas.width);
+    let rows = rows.zip(canvas.depth_m.chunks_exact(canvas.width));
+    for (y, (light, depth_m)) in rows.enumerate() {
+        let up = (projection.horizon_y - (y as f32 + 0.5)) / projection.focal_px;
+        let below_cut_off = (1.0 - up / LOW_BEAM_CUT_OFF).clamp(0.04, 1.0);
+        for (x, (light, &z_m)) in light.iter_mut().zip(depth_m).enumerate() {
+            let near_m = z_m.min(1_000.0);
+            let x_m = (x as f32 - projection.centre_x) * near_m / projection.focal_px;
+            let aside = (x_m / (2.5 + 0.25 * near_m)).abs().min(1.0);
+            let along =
+                ((near_m - 1.6) / 2.0).clamp(0.02, 1.0) * (1.0 - near_m / LOW_BEAM_M).max(0.0);
+            let beam = 0.9 * dark * along * (1.0 - aside * aside)
+                / (1.0 + (near_m / 18.0) * (near_m / 18.0));
+            let beam = beam * below_cut_off;
+            *light = [0, 1, 2].map(|c| light[c] * (daylight + beam * [1.0, 0.95, 0.82][c]));
+        }
+    }
+}
+
+/// Lamps of vehicles, and what sends the light of the own lamps back.
+fn lamps(canvas: &mut Canvas, dark: f32) {
     for lamp in std::mem::take(&mut canvas.lamps) {
         let reach = (4.0 * lamp.radius_px).max(1.5);
         for y in span(lamp.at.1, reach, canvas.height) {

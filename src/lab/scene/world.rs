@@ -90,11 +90,29 @@ pub enum Element {
     Traffic,
     /// Exposure that differs from drive to drive and follows the light.
     Exposure,
+    /// In drives that change: trees, buildings, banks, rails, verge and hills, by kind of stretch.
+    Scenery,
+    /// In drives that change: asphalt with its patches and joints.
+    Surface,
+    /// In drives that change: width of the lanes, shoulders, one more lane, and kinds of lines.
+    Markings,
+    /// In drives that change: bends, hills and speed.
+    Course,
+    /// In drives that change: density of the traffic, and parked vehicles.
+    Flow,
+    /// In drives that change: clouds before the sun.
+    Sunlight,
+    /// In drives that change: shade of trees.
+    Canopy,
+    /// In drives that change: bridges over the road.
+    Bridges,
+    /// In drives that change: haze.
+    Haze,
 }
 
 impl Element {
     /// All elements.
-    pub const ALL: [Self; 15] = [
+    pub const ALL: [Self; 24] = [
         Self::Curves,
         Self::Grades,
         Self::Motion,
@@ -110,6 +128,28 @@ impl Element {
         Self::Rails,
         Self::Traffic,
         Self::Exposure,
+        Self::Scenery,
+        Self::Surface,
+        Self::Markings,
+        Self::Course,
+        Self::Flow,
+        Self::Sunlight,
+        Self::Canopy,
+        Self::Bridges,
+        Self::Haze,
+    ];
+
+    /// The elements that only drives with stretches have.
+    pub const OF_CHANGES: [Self; 9] = [
+        Self::Scenery,
+        Self::Surface,
+        Self::Markings,
+        Self::Course,
+        Self::Flow,
+        Self::Sunlight,
+        Self::Canopy,
+        Self::Bridges,
+        Self::Haze,
     ];
 
     /// The word a user types.
@@ -130,6 +170,15 @@ impl Element {
             Self::Rails => "rails",
             Self::Traffic => "traffic",
             Self::Exposure => "exposure",
+            Self::Scenery => "scenery",
+            Self::Surface => "surface",
+            Self::Markings => "markings",
+            Self::Course => "course",
+            Self::Flow => "flow",
+            Self::Sunlight => "sunlight",
+            Self::Canopy => "canopy",
+            Self::Bridges => "bridges",
+            Self::Haze => "haze",
         }
     }
 }
@@ -152,13 +201,18 @@ impl fmt::Display for Element {
     }
 }
 
-/// A look and the elements that are left out of it.
+/// A look, the elements that are left out of it, and how a drive changes along the way.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct World {
     /// The look.
     pub look: Look,
     /// Elements left out.
     pub without: Vec<Element>,
+    /// Mean length of the stretches of different kinds through which the road passes, metres; 0 = the road is of one
+    /// kind.
+    pub stretch_m: u32,
+    /// Whether nothing but the lamps of vehicles lights the night.
+    pub unlit: bool,
 }
 
 impl World {
@@ -166,7 +220,7 @@ impl World {
     pub fn of(look: Look) -> Self {
         Self {
             look,
-            without: Vec::new(),
+            ..Self::default()
         }
     }
 

@@ -1,0 +1,246 @@
+//! What stands along the whole of one side of a stretch: edges of woods, hedges, banks, walls and rows of houses.
+
+use super::canvas::Canvas;
+use super::light::{Colour, blended, scaled};
+use super::moment::Moment;
+use super::noise::{Draws, hash, rough, unit};
+use super::road_kind::RoadKind;
+use super::textures::SNOW;
+use super::world::{Look, World};
+
+/// Belts are seen up to this distance, metres.
+const REACH_M: f32 = 380.0;
+/// The texture of a belt repeats after this length of road, metres.
+const REPEAT_M: f64 = 4_096.0;
+/// Width of a house in a row, metres.
+const HOUSE_M: f32 = 16.0;
+/// Distance up to which windows and leaves can be seen one by one, metres.
+const FINE_M: f32 = 22.0;
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Kind {
+    Leaves,
+    Bank,
+    Wall,
+    Houses,
+}
+
+/// A belt along one side of a stretch.
+#[derive(Clone, Copy, Debug)]
+pub struct Belt {
+    kind: Kind,
+    /// Distance from the edge of the asphalt, metres.
+    clear_m: f32,
+    height_m: f32,
+    colour: Colour,
+    seed: u32,
+}
+
+impl Belt {
+    /// The belt of a stretch, if it has one on this side; a road in a hill has its bank on the side `uphill`.
+    pub fn drawn(draws: Draws, road: RoadKind, uphill: bool, world: &World) -> Option<Self> {
+        let pick = draws.range("belt", 0.0, 1.0);
+        let (kind, clear_m, height_m) = match road {
+            RoadKind::Open if pick < 0.2 => (Kind::Leaves, (2.0, 6.0), (1.2, 3.5)),
+            RoadKind::Open if pick < 0.5 => (Kind::Leaves, (18.0, 40.0), (6.0, 14.0)),
+            RoadKind::Forest => (Kind::Leaves, (2.5, 8.0), (7.0, 18.0)),
+            RoadKind::Suburb if pick < 0.4 => (Kind::Leaves, (1.0, 4.0), (1.2, 3.0)),
+            RoadKind::Suburb if pick < 0.7 => (Kind::Wall, (1.5, 4.0), (1.0, 2.2)),
+            RoadKind::City if pick < 0.85 => (Kind::Houses, (2.0, 6.0), (7.0, 20.0)),
+            RoadKind::City => (Kind::Wall, (1.5, 4.0), (1.5, 3.0)),
+            RoadKind::Motorway if pick < 0.4 => (Kind::Wall, (1.5, 5.0), (2.5, 5.0)),
+            RoadKind::Motorway if pick < 0.7 => (Kind::Bank, (2.0, 6.0), (2.0, 6.0)),
+            RoadKind::Hillside if uphill => (Kind::Bank, (0.8, 4.0), (4.0, 16.0)),
+            RoadKind::Hillside if pick < 0.4 => (Kind::Leaves, (2.0, 8.0), (2.0, 8.0)),
+            _ => return None,
+        };
+        let game = world.look == Look::Game;
+        let hue = draws.range("hue", 0.0, 1.0);
+        let grey = draws.range("grey", 0.2, 0.5);
+        let colour = match kind {
+            Kind::Leaves if game => blended([0.02, 0.22, 0.05], [0.05, 0.30, 0.16], hue),
+            Kind::Leaves => blended([0.04, 0.09, 0.03], [0.15, 0.16, 0.06], hue),
+            Kind::Bank if game => blended([0.30, 0.26, 0.08], [0.06, 0.30, 0.05], hue),
+            Kind::Bank => blended([0.32, 0.24, 0.14], [0.12, 0.17, 0.06], hue),
+            Kind::Wall => blended([grey; 3], [0.30, 0.22, 0.15], hue * hue),
+            Kind::Houses => [1.0; 3],
+        };
+        Some(Self {
+            kind,
+            clear_m: draws.range("clear", clear_m.0, clear_m.1),
+            height_m: draws.range("height", height_m.0, height_m.1),
+            colour,
+            seed: draws.seed("belt surface"),
+        })
+    }
+
+    /// The column of the belt at the length `along_m` of road.
+    fn column(&self, along_m: f32, z_m: f32) -> Column {
+        let fine = (FINE_M / z_m).min(1.0);
+        let full = Column {
+            along_m,
+            fine,
+            top: 1.0,
+            colour: self.colour,
+        };
+        match self.kind {
+            Kind::Leaves => {
+                let (crown, twig) = (rough(0.22 * along_m, 3.5), rough(1.1 * along_m, 9.5));
+                Column {
+                    top: 0.55 + 0.33 * crown + 0.12 * twig,
+                    ..full
+                }
+            }
+            Kind::Bank => Column {
+                top: 0.6 + 0.4 * rough(0.04 * along_m, 5.5),
+                ..full
+            },
+            Kind::Wall => full,
+            Kind::Houses => {
+                let house = hash(self.seed, (along_m / HOUSE_M) as i32, 0);
+                const PAINTS: [Colour; 5] = [
+                    [0.50, 0.45, 0.38],
+                    [0.35, 0.18, 0.13],
+                    [0.60, 0.60, 0.58],
+                    [0.30, 0.32, 0.36],
+                    [0.55, 0.42, 0.25],
+                ];
+                Column {
+                    top: 0.55 + 0.45 * unit(house),
+                    colour: PAINTS[house as usize % PAINTS.len()],
+                    ..full
+                }
+            }
+        }
+    }
+
+    /// Tone of the belt at a height of `up_m`, which is the share `up` of its height; `None` above its top.
+    #[inline(always)]
+    fn tone(&self, column: &Column, up: f32, up_m: f32) -> Option<f32> {
+        let along_m = column.along_m;
+        if up > column.top {
+            return None;
+        }
+        Some(match self.kind {
+            Kind::Leaves => {
+                let leaves = 0.6 * rough(0.7 * along_m, 0.7 * up_m)
+                    + 0.4 * column.fine * (rough(3.0 * along_m, 3.0 * up_m) - 0.5)
+                    + 0.1;
+                0.25 + (0.5 + 0.9 * up) * leaves
+            }
+            Kind::Bank => {
+                let soil = rough(0.5 * along_m, up_m) - 0.5;
+                0.85 + 0.4 * up + 0.5 * (0.3 + 0.7 * column.fine) * soil
+            }
+            Kind::Wall => {
+                let post = (0.25 * along_m).fract() < 0.07;
+                let panel = 0.9 + 0.2 * (rough(0.25 * along_m.floor(), 7.0) - 0.5);
+                panel - if post { 0.35 * column.fine } else { 0.0 } - 0.15 * (1.0 - up)
+            }
+            Kind::Houses => {
+                let (across, floor) = ((along_m / 3.2).fract(), (up_m / 3.0).fract());
+                let pane = across > 0.45 && floor > 0.42 && up < 0.93 * column.top;
+                let ground_floor = up_m < 3.0;
+                let dark = if pane || (ground_floor && across > 0.2 && floor < 0.85) {
+                    0.62
+                } else {
+                    0.0
+                };
+                0.95 - dark * (0.35 + 0.65 * column.fine)
+            }
+        })
+    }
+}
+
+/// What all pixels of one column of a belt have in common.
+struct Column {
+    along_m: f32,
+    fine: f32,
+    top: f32,
+    colour: Colour,
+}
+
+/// A piece of a belt between two points of the road ahead.
+#[derive(Clone, Copy)]
+pub struct BeltPiece<'a> {
+    belt: &'a Belt,
+    /// 0 left, 1 right.
+    side: usize,
+    /// The stretch of the belt.
+    stretch: usize,
+    /// The farther point.
+    node: usize,
+}
+
+impl Moment<'_> {
+    /// The pieces of all belts, with their distances.
+    pub(super) fn belt_pieces(&self) -> impl Iterator<Item = (f32, BeltPiece<'_>)> {
+        let nodes = &self.ahead.nodes;
+        (0..2).flat_map(move |side| {
+            self.way.belts(side).flat_map(move |(stretch, belt)| {
+                (1..nodes.len()).filter_map(move |node| {
+                    let (near_m, far_m) = (nodes[node - 1].z_m, nodes[node].z_m);
+                    let grown = [near_m, far_m]
+                        .iter()
+                        .any(|z_m| self.way.grown(stretch, self.pose.s_m + f64::from(*z_m)) > 0.0);
+                    (near_m >= 1.0 && far_m < REACH_M && grown).then_some((
+                        far_m,
+                        BeltPiece {
+                            belt,
+                            side,
+                            stretch,
+                            node,
+                        },
+                    ))
+                })
+            })
+        })
+    }
+
+    /// Paints one piece of a belt.
+    pub(super) fn paint_belt(
+        &self,
+        BeltPiece {
+            belt,
+            side,
+            stretch,
+            node,
+        }: BeltPiece<'_>,
+        canvas: &mut Canvas,
+        mask: &mut [u8],
+    ) {
+        let corner = |node: usize| {
+            let node = self.ahead.nodes[node];
+            let s_m = self.pose.s_m + f64::from(node.z_m);
+            let edges_m = self.way.layout(s_m).asphalt_m;
+            let d_m = if side == 0 {
+                edges_m.0 - belt.clear_m
+            } else {
+                edges_m.1 + belt.clear_m
+            };
+            let height_m = belt.height_m * self.way.grown(stretch, s_m);
+            self.corner(&node, d_m, (0.0, height_m))
+        };
+        let ends = [corner(node - 1), corner(node)];
+        let start_m = self.pose.s_m.rem_euclid(REPEAT_M) as f32;
+        let middle_m = 0.5 * (ends[0].z_m + ends[1].z_m);
+        let shade = self.way.shade(self.pose.s_m + f64::from(middle_m)).left();
+        let sun = scaled(self.light.ground, shade * self.light.on_side(side));
+        let snow = 0.4 * self.snow_on_verge();
+        self.paint_panel(
+            &ends,
+            canvas,
+            mask,
+            |z_m| belt.column(start_m + z_m, z_m),
+            |column, up| {
+                let tone = belt.tone(column, up, up * belt.height_m)?;
+                let colour = [0, 1, 2].map(|c| column.colour[c] * sun[c] * tone);
+                Some(if snow > 0.0 {
+                    blended(colour, SNOW, snow * up)
+                } else {
+                    colour
+                })
+            },
+        );
+    }
+}
