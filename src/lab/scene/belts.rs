@@ -6,6 +6,7 @@ use super::moment::Moment;
 use super::noise::{Draws, hash, rough, unit};
 use super::road_kind::RoadKind;
 use super::textures::SNOW;
+use super::way::Way;
 use super::world::{Look, World};
 
 /// Belts are seen up to this distance, metres.
@@ -72,6 +73,25 @@ impl Belt {
             colour,
             seed: draws.seed("belt surface"),
         })
+    }
+
+    /// How much it hides of its half of the sky, 0 to 1.
+    pub fn hides(&self) -> f32 {
+        (self.height_m / (self.clear_m + 4.0)).min(1.0)
+    }
+
+    /// Whether it is high right from its ends.
+    fn ends_abruptly(&self) -> bool {
+        matches!(self.kind, Kind::Wall | Kind::Houses)
+    }
+
+    /// How much of it there is at a place, 0 to 1.
+    fn grown(&self, way: &Way, stretch: usize, s_m: f64) -> f32 {
+        if self.ends_abruptly() {
+            f32::from(u8::from(way.is_in(stretch, s_m)))
+        } else {
+            way.grown(stretch, s_m)
+        }
     }
 
     /// The column of the belt at the length `along_m` of road.
@@ -180,9 +200,9 @@ impl Moment<'_> {
             self.way.belts(side).flat_map(move |(stretch, belt)| {
                 (1..nodes.len()).filter_map(move |node| {
                     let (near_m, far_m) = (nodes[node - 1].z_m, nodes[node].z_m);
-                    let grown = [near_m, far_m]
-                        .iter()
-                        .any(|z_m| self.way.grown(stretch, self.pose.s_m + f64::from(*z_m)) > 0.0);
+                    let grown = [near_m, far_m].iter().any(|z_m| {
+                        belt.grown(&self.way, stretch, self.pose.s_m + f64::from(*z_m)) > 0.0
+                    });
                     (near_m >= 1.0 && far_m < REACH_M && grown).then_some((
                         far_m,
                         BeltPiece {
@@ -218,7 +238,11 @@ impl Moment<'_> {
             } else {
                 edges_m.1 + belt.clear_m
             };
-            let height_m = belt.height_m * self.way.grown(stretch, s_m);
+            let height_m = if belt.ends_abruptly() {
+                belt.height_m
+            } else {
+                belt.height_m * self.way.grown(stretch, s_m)
+            };
             self.corner(&node, d_m, (0.0, height_m))
         };
         let ends = [corner(node - 1), corner(node)];

@@ -174,13 +174,13 @@ impl Light {
         let leaves = NoiseRow::new(self.shadow_seed ^ 2, s_m / 1.4);
         let crowns = NoiseRow::new(self.shadow_seed ^ 3, s_m / 7.0);
         let fine = (0.9 / length_m).min(1.0);
-        let dark = canopy * (0.45 + 0.42 * self.clear);
+        let dark = canopy * (0.5 + 0.42 * self.clear);
         for (d_m, colours) in d_m.chunks(BLOCK).zip(colours.chunks_mut(BLOCK)) {
             let leaves = leaves.block(d_m, |d| f64::from(d) / 1.1);
             let crowns = crowns.block(d_m, |d| f64::from(d) / 5.0);
             for ((colour, leaf), crown) in colours.iter_mut().zip(&leaves).zip(&crowns) {
                 let gap = 0.55 * crown + 0.45 * (0.5 + fine * (leaf - 0.5));
-                let gap = ((gap - 0.35 - 0.3 * canopy) * 6.0).clamp(0.0, 1.0);
+                let gap = ((gap - 0.40 - 0.22 * canopy) * 7.0).clamp(0.0, 1.0);
                 let kept = 1.0 - dark * (1.0 - gap);
                 // What comes through leaves is the light of the sky.
                 let blue = 0.12 * self.clear * (1.0 - kept);

@@ -65,7 +65,7 @@ const OPEN: Traits = Traits {
     rail: 0.2,
     parked: 0.0,
     hills: (0.0, 0.12),
-    canopy: (0.0, 0.0),
+    canopy: (0.0, 0.35),
     bridge: 0.15,
 };
 
@@ -129,7 +129,7 @@ impl RoadKind {
                 high_trees: 0.85,
                 clear: 0.6,
                 hills: (0.02, 0.20),
-                canopy: (0.5, 1.0),
+                canopy: (0.7, 1.0),
                 bridge: 0.0,
                 ..OPEN
             },
@@ -147,7 +147,7 @@ impl RoadKind {
                 rail: 0.05,
                 parked: 0.25,
                 hills: (0.0, 0.10),
-                canopy: (0.0, 0.4),
+                canopy: (0.1, 0.7),
                 bridge: 0.1,
                 ..OPEN
             },
@@ -166,7 +166,7 @@ impl RoadKind {
                 rail: 0.0,
                 parked: 0.45,
                 hills: (0.0, 0.05),
-                canopy: (0.0, 0.15),
+                canopy: (0.0, 0.3),
                 bridge: 0.2,
                 ..OPEN
             },
@@ -184,6 +184,7 @@ impl RoadKind {
                 high_trees: 0.3,
                 clear: 1.6,
                 rail: 0.85,
+                canopy: (0.0, 0.1),
                 bridge: 0.5,
                 ..OPEN
             },
@@ -200,7 +201,7 @@ impl RoadKind {
                 clear: 0.8,
                 rail: 0.4,
                 hills: (0.12, 0.32),
-                canopy: (0.0, 0.6),
+                canopy: (0.2, 1.0),
                 bridge: 0.05,
                 ..OPEN
             },

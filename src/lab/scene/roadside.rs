@@ -59,6 +59,12 @@ impl Roadside {
         }
     }
 
+    /// How much of the sky the belts hide, 0 to 1.
+    pub fn encloses(&self) -> f32 {
+        let belts = self.belts.iter().flatten();
+        belts.map(|belt| 0.5 * belt.hides()).sum()
+    }
+
     fn object(&self, draws: Draws, cell: i32, side: f32, edge_m: f32) -> Option<RoadsideObject> {
         if !draws.chance("there", self.density) {
             return None;

@@ -223,7 +223,7 @@ impl Moment<'_> {
                 if corner.top < self.view.crest(z_m) {
                     canvas.lamps.push(Lamp {
                         at: (corner.x, corner.top),
-                        radius_px: 0.05 * self.projection.focal_px / z_m,
+                        radius_px: 0.03 * self.projection.focal_px / z_m,
                         colour: scaled([1.0, 0.9, 0.7], bright),
                     });
                 }

@@ -92,11 +92,13 @@ impl Textures {
     /// verge stays.
     pub fn changed(&self, draws: Draws, world: &World, paved: Option<bool>) -> Self {
         let drawn = Self::new(draws, world);
-        let ground = if world.has(Element::Surface) {
-            &drawn
-        } else {
-            self
-        };
+        let mut ground = self.clone();
+        if world.has(Element::Surface) {
+            ground = drawn.clone();
+            if world.look != Look::Game {
+                ground.asphalt = scaled(ground.asphalt, draws.range("old or new", 0.45, 1.35));
+            }
+        }
         let (verge, verge_texture) = match paved {
             None => (self.verge, self.verge_texture),
             Some(false) => (drawn.verge, drawn.verge_texture),
@@ -109,7 +111,7 @@ impl Textures {
             verge,
             verge_texture,
             verge_seed: self.verge_seed,
-            ..ground.clone()
+            ..ground
         }
     }
 

@@ -12,7 +12,7 @@ use super::world::{Element, World};
 const CELL_M: f64 = 34.0;
 
 /// Number of these cells over which the density of the traffic changes.
-const FLOW_CELLS: f64 = 7.0;
+const FLOW_CELLS: f64 = 4.0;
 
 /// A vehicle ahead of the car.
 #[derive(Clone, Copy, Debug)]
@@ -58,7 +58,7 @@ impl Traffic {
     fn density(&self, cell: i32, lane: i32) -> f32 {
         if self.flows {
             let seed = self.draws.seed("flow") ^ lane as u32;
-            (self.density + 0.6 * wander(seed, f64::from(cell) / FLOW_CELLS)).clamp(0.0, 0.85)
+            (self.density + 0.8 * wander(seed, f64::from(cell) / FLOW_CELLS)).clamp(0.0, 0.85)
         } else {
             self.density
         }
@@ -74,7 +74,14 @@ impl Traffic {
         } else {
             t_s
         };
-        if self.draws.chance("lead vehicle", 1.2 * self.density) {
+        if self.flows {
+            // The vehicle ahead comes near and drives away.
+            let far = wander(self.draws.seed("lead flow"), t_s / 14.0);
+            let z_m = 34.0 * libm::expf(1.7 * far) + 6.0;
+            if self.draws.chance("lead vehicle", 0.4 + self.density) && z_m < 160.0 {
+                seen.push(vehicle(Draws(self.draws.seed("lead")), z_m, 0.0, false));
+            }
+        } else if self.draws.chance("lead vehicle", 1.2 * self.density) {
             let z_m = self.draws.range("lead distance", 18.0, 70.0)
                 * (1.0 + 0.3 * wander(self.draws.seed("lead breathing"), t_s / 11.0));
             seen.push(vehicle(Draws(self.draws.seed("lead")), z_m, 0.0, false));

@@ -19,6 +19,9 @@ use super::world::{Element, World};
 
 /// Part of the road behind and before the car of which the way knows the stretches, metres.
 const KNOWN_M: (f64, f64) = (120.0, 600.0);
+/// How far the exposure follows the light on the road: the camera meters the sky too, and the larger this is, the less
+/// it follows.
+const METERED: f32 = 1.7;
 /// The hills and the air change over a longer part of the road than the road does.
 const FAR_PASSAGES: f32 = 5.0;
 /// Time in which clouds come before the sun, seconds.
@@ -53,9 +56,9 @@ impl Changes {
         }
         let cloud = wander(self.draws.seed("sun"), t_s / CLOUD_S)
             + 0.5 * wander(self.draws.seed("sun fast"), t_s / (0.37 * CLOUD_S));
-        let often = self.draws.range("clouds before the sun", -0.7, 0.5);
-        let hidden = smooth((1.6 * (cloud + often)).clamp(0.0, 1.0));
-        1.0 - hidden * (0.15 + 0.5 * light.clear)
+        let often = self.draws.range("clouds before the sun", -0.6, 0.5);
+        let hidden = smooth((1.8 * (cloud + often)).clamp(0.0, 1.0));
+        1.0 - hidden * (0.25 + 0.5 * light.clear)
     }
 }
 
@@ -67,6 +70,8 @@ struct Appearance {
     bridge: Option<Bridge>,
     hill_height: f32,
     canopy: f32,
+    /// How much of the sky is hidden by what stands beside the road, 0 to 1.
+    enclosed: f32,
     extinction: f32,
 }
 
@@ -77,6 +82,7 @@ impl Appearance {
         let part = |name| Draws(stretch.draws.seed(name));
         let range = |name, (low, high): (f32, f32)| stretch.draws.range(name, low, high);
         let scenery = world.has(Element::Scenery);
+        let roadside = scenery.then(|| Roadside::new(part("roadside"), stretch.kind, world));
         Self {
             cross: if world.has(Element::Markings) {
                 changes.cross.changed(part("markings"), &traits, world)
@@ -88,7 +94,8 @@ impl Appearance {
                 world,
                 scenery.then_some(stretch.kind == RoadKind::City),
             ),
-            roadside: scenery.then(|| Roadside::new(part("roadside"), stretch.kind, world)),
+            enclosed: roadside.as_ref().map_or(0.0, Roadside::encloses),
+            roadside,
             bridge: Bridge::of(stretch, &traits, world),
             hill_height: if scenery && world.has(Element::FarHills) {
                 range("hills", traits.hills)
@@ -204,7 +211,7 @@ impl<'a> Way<'a> {
             0.0
         };
         Shade {
-            canopy: canopy * mass.max(canopy * canopy - 0.2),
+            canopy: (1.3 * canopy * mass.max(canopy - 0.45)).min(1.0),
             roof: self
                 .bridges()
                 .map(|bridge| bridge.shade(s_m))
@@ -237,8 +244,13 @@ impl<'a> Way<'a> {
                 let shade = self.shade(at_m + ahead_m);
                 (1.0 - 0.8 * shade.canopy) * (1.0 - 0.6 * shade.roof)
             });
-            let road = kept.iter().sum::<f32>() / 3.0;
-            1.25 / (changes.sun(&self.drive.light, t_s - ago_s) * road + 0.25)
+            let light =
+                changes.sun(&self.drive.light, t_s - ago_s) * kept.iter().sum::<f32>() / 3.0;
+            let passage = self.passage(at_m + 15.0, 1.0);
+            let enclosed = passage.map_or(0.0, |passage| {
+                passage.between(|index| self.appearances[index].enclosed)
+            });
+            METERED / (METERED - 1.0 + light) * (0.85 + 0.6 * enclosed)
         };
         follow(changes.world.has(Element::Exposure), wanted)
     }
@@ -291,6 +303,12 @@ impl<'a> Way<'a> {
             0.0
         };
         (2.0 * share).min(1.0)
+    }
+
+    /// Whether a place is in the stretch `index`.
+    pub fn is_in(&self, index: usize, s_m: f64) -> bool {
+        let (from_m, to_m) = self.stretches[index].ends_m;
+        (from_m..to_m).contains(&s_m)
     }
 
     /// The rails on the side `side` (0 left, 1 right), and the arc lengths of their ends.
