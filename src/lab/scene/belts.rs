@@ -3,10 +3,9 @@
 use super::canvas::Canvas;
 use super::light::{Colour, blended, scaled};
 use super::moment::Moment;
-use super::noise::{Draws, hash, rough, unit};
+use super::noise::{Draws, RoughColumn, hash, unit};
 use super::road_kind::RoadKind;
 use super::textures::SNOW;
-use super::way::Way;
 use super::world::{Look, World};
 
 /// Belts are seen up to this distance, metres.
@@ -15,6 +14,9 @@ const REACH_M: f32 = 380.0;
 const REPEAT_M: f64 = 4_096.0;
 /// Width of a house in a row, metres.
 const HOUSE_M: f32 = 16.0;
+/// Numbers of values of coarse and of fine noise in a metre.
+const COARSE: f32 = 0.7;
+const FINE: f32 = 3.0;
 /// Distance up to which windows and leaves can be seen one by one, metres.
 const FINE_M: f32 = 22.0;
 
@@ -85,34 +87,28 @@ impl Belt {
         matches!(self.kind, Kind::Wall | Kind::Houses)
     }
 
-    /// How much of it there is at a place, 0 to 1.
-    fn grown(&self, way: &Way, stretch: usize, s_m: f64) -> f32 {
-        if self.ends_abruptly() {
-            f32::from(u8::from(way.is_in(stretch, s_m)))
-        } else {
-            way.grown(stretch, s_m)
-        }
-    }
-
     /// The column of the belt at the length `along_m` of road.
     fn column(&self, along_m: f32, z_m: f32) -> Column {
         let fine = (FINE_M / z_m).min(1.0);
         let full = Column {
             along_m,
             fine,
+            coarse_noise: RoughColumn::new(COARSE * along_m),
+            fine_noise: RoughColumn::new(FINE * along_m),
             top: 1.0,
             colour: self.colour,
         };
         match self.kind {
             Kind::Leaves => {
-                let (crown, twig) = (rough(0.22 * along_m, 3.5), rough(1.1 * along_m, 9.5));
+                let crown = RoughColumn::new(0.22 * along_m).near(3.0);
+                let twig = RoughColumn::new(1.1 * along_m).near(9.0);
                 Column {
                     top: 0.55 + 0.33 * crown + 0.12 * twig,
                     ..full
                 }
             }
             Kind::Bank => Column {
-                top: 0.6 + 0.4 * rough(0.04 * along_m, 5.5),
+                top: 0.6 + 0.4 * RoughColumn::new(0.04 * along_m).near(5.0),
                 ..full
             },
             Kind::Wall => full,
@@ -143,22 +139,25 @@ impl Belt {
         }
         Some(match self.kind {
             Kind::Leaves => {
-                let leaves = 0.6 * rough(0.7 * along_m, 0.7 * up_m)
-                    + 0.4 * column.fine * (rough(3.0 * along_m, 3.0 * up_m) - 0.5)
-                    + 0.1;
+                let twigs = if column.fine > 0.3 {
+                    0.4 * column.fine * (column.fine_noise.near(FINE * up_m) - 0.5)
+                } else {
+                    0.0
+                };
+                let leaves = 0.6 * column.coarse_noise.at(COARSE * up_m) + twigs + 0.1;
                 0.25 + (0.5 + 0.9 * up) * leaves
             }
             Kind::Bank => {
-                let soil = rough(0.5 * along_m, up_m) - 0.5;
+                let soil = column.coarse_noise.at(up_m) - 0.5;
                 0.85 + 0.4 * up + 0.5 * (0.3 + 0.7 * column.fine) * soil
             }
             Kind::Wall => {
-                let post = (0.25 * along_m).fract() < 0.07;
-                let panel = 0.9 + 0.2 * (rough(0.25 * along_m.floor(), 7.0) - 0.5);
+                let post = part(0.25 * along_m) < 0.07;
+                let panel = 0.8 + 0.2 * column.coarse_noise.near(0.3 * up_m);
                 panel - if post { 0.35 * column.fine } else { 0.0 } - 0.15 * (1.0 - up)
             }
             Kind::Houses => {
-                let (across, floor) = ((along_m / 3.2).fract(), (up_m / 3.0).fract());
+                let (across, floor) = (part(along_m / 3.2), part(up_m / 3.0));
                 let pane = across > 0.45 && floor > 0.42 && up < 0.93 * column.top;
                 let ground_floor = up_m < 3.0;
                 let dark = if pane || (ground_floor && across > 0.2 && floor < 0.85) {
@@ -172,10 +171,18 @@ impl Belt {
     }
 }
 
+/// What a number above 0 has beyond its whole part.
+#[inline(always)]
+fn part(number: f32) -> f32 {
+    number - (number as u32) as f32
+}
+
 /// What all pixels of one column of a belt have in common.
 struct Column {
     along_m: f32,
     fine: f32,
+    coarse_noise: RoughColumn,
+    fine_noise: RoughColumn,
     top: f32,
     colour: Colour,
 }
@@ -198,12 +205,17 @@ impl Moment<'_> {
         let nodes = &self.ahead.nodes;
         (0..2).flat_map(move |side| {
             self.way.belts(side).flat_map(move |(stretch, belt)| {
+                let (from_m, to_m) = if belt.ends_abruptly() {
+                    self.way.ends_m(stretch, 0.0)
+                } else {
+                    self.way.ends_m(stretch, 0.5)
+                };
+                let ahead_m = |s_m: f64| (s_m - self.pose.s_m) as f32;
+                let (from_m, to_m) = (ahead_m(from_m), ahead_m(to_m));
                 (1..nodes.len()).filter_map(move |node| {
                     let (near_m, far_m) = (nodes[node - 1].z_m, nodes[node].z_m);
-                    let grown = [near_m, far_m].iter().any(|z_m| {
-                        belt.grown(&self.way, stretch, self.pose.s_m + f64::from(*z_m)) > 0.0
-                    });
-                    (near_m >= 1.0 && far_m < REACH_M && grown).then_some((
+                    let there = far_m > from_m && near_m < to_m;
+                    (there && near_m >= 1.0 && far_m < REACH_M).then_some((
                         far_m,
                         BeltPiece {
                             belt,
@@ -232,7 +244,7 @@ impl Moment<'_> {
         let corner = |node: usize| {
             let node = self.ahead.nodes[node];
             let s_m = self.pose.s_m + f64::from(node.z_m);
-            let edges_m = self.way.layout(s_m).asphalt_m;
+            let edges_m = self.way.edges_m(s_m);
             let d_m = if side == 0 {
                 edges_m.0 - belt.clear_m
             } else {

@@ -3,7 +3,7 @@
 use super::canvas::Canvas;
 use super::light::{Colour, blended, scaled};
 use super::moment::Moment;
-use super::noise::{rough, smooth};
+use super::noise::{RoughColumn, smooth};
 use super::road_kind::Traits;
 use super::sequence::Stretch;
 use super::world::{Element, World};
@@ -77,7 +77,7 @@ impl Moment<'_> {
         };
         let sun = self.light.ground;
         let lit = |tone: f32| [0, 1, 2].map(|c| bridge.colour[c] * sun[c] * tone);
-        let edges_m = self.way.layout(bridge.ends_m.0).asphalt_m;
+        let edges_m = self.way.edges_m(bridge.ends_m.0);
         let supports_m = [edges_m.0 - CLEAR_M, edges_m.1 + CLEAR_M];
         let bottom = |node| self.corner(node, 0.0, (0.0, bridge.under_m)).top;
         let (under_near, under_far) = (bottom(&near), bottom(&far));
@@ -97,9 +97,9 @@ impl Moment<'_> {
         for (d_m, outwards) in supports_m.iter().zip([-1.0, 1.0]) {
             let beyond_m = d_m + outwards * SIDE_M;
             let ends = [*d_m, beyond_m].map(|d_m| self.corner(&near, d_m, (0.0, bridge.under_m)));
-            let tuft = |_: f32| ();
-            self.paint_panel(&ends, canvas, mask, tuft, |(), up| {
-                let tone = 0.7 + 0.5 * rough(40.0 * up, 3.0);
+            let tufts = |_: f32| RoughColumn::new(3.0);
+            self.paint_panel(&ends, canvas, mask, tufts, |tufts, up| {
+                let tone = 0.7 + 0.5 * tufts.at(40.0 * up);
                 Some([0, 1, 2].map(|c| verge[c] * sun[c] * tone))
             });
         }

@@ -10,7 +10,7 @@ use super::sensor::Sensor;
 use super::surroundings::Surroundings;
 use super::traffic::Traffic;
 use super::way::Changes;
-use super::world::{Element, Look, World};
+use super::world::{Look, World};
 
 /// A drive that can be rendered at any time.
 #[derive(Clone, Debug)]
@@ -38,11 +38,9 @@ impl Drive {
         let cross = Cross::new(part("layout"), world);
         let layout = cross.layout();
         let changes = (world.stretch_m > 0).then(|| Changes::new(part("stretches"), world, cross));
-        let sequence = changes.as_ref().map(|changes| changes.sequence);
         Self {
             seed,
-            road: Road::new(part("road"), world)
-                .along(sequence.filter(|_| world.has(Element::Course))),
+            road: Road::new(part("road"), world),
             layout,
             changes,
             surroundings: Surroundings::new(part("surroundings"), world),

@@ -33,8 +33,9 @@ impl Moment<'_> {
                 #[inline(always)]
                 || {
                     self.place(row, &mut strip.d_m);
-                    self.paint_ground_row((y, row), &mut strip, light);
-                    self.label(row, label_half_px, &strip.d_m, mask);
+                    let layout = self.way.layout(self.pose.s_m + f64::from(row.z_m));
+                    self.paint_ground_row((y, row), &layout, &mut strip, light);
+                    self.label(row, &layout, label_half_px, &strip.d_m, mask);
                 },
             );
         }
@@ -55,11 +56,11 @@ impl Moment<'_> {
     fn paint_ground_row(
         &self,
         (y, row): (usize, &GroundRow),
+        layout: &Layout,
         strip: &mut Strip,
         light: &mut [Colour],
     ) {
         let s_m = self.pose.s_m + f64::from(row.z_m);
-        let layout: &Layout = &self.way.layout(s_m);
         let ground = self.way.textures(s_m);
         let metres_a_pixel = row.z_m / self.projection.focal_px;
         let textures = ground.row(s_m, row.length_m.max(metres_a_pixel));
@@ -124,7 +125,14 @@ impl Moment<'_> {
 
     /// Labels the lane lines in a row at the offsets `d_m`.
     #[inline(always)]
-    fn label(&self, row: &GroundRow, label_half_px: f32, d_m: &[f32], mask: &mut [u8]) {
+    fn label(
+        &self,
+        row: &GroundRow,
+        layout: &Layout,
+        label_half_px: f32,
+        d_m: &[f32],
+        mask: &mut [u8],
+    ) {
         if row.z_m > LABEL_REACH_M {
             return;
         }
@@ -132,7 +140,6 @@ impl Moment<'_> {
         // A line that is `d` metres to the side has the slope d / height in the picture. Its label has the same width
         // across the line as along a row.
         let camera_d_m = self.lateral(row, self.projection.centre_x);
-        let layout = self.way.layout(self.pose.s_m + f64::from(row.z_m));
         for line in &layout.lines {
             let slope = (line.offset_m - camera_d_m) / self.projection.height_m;
             let half_m = (0.5 * line.width_m).max(label_half_m * (1.0 + slope * slope).sqrt());

@@ -143,6 +143,20 @@ impl Cross {
         }
     }
 
+    /// Left and right edge of the asphalt, metres from the middle of the ego lane.
+    pub fn edges_m(&self) -> (f32, f32) {
+        let left_edge = -(self.ego as f32 + 0.5) * self.lane_m;
+        let right_edge = (self.count as f32 - self.ego as f32 - 0.5) * self.lane_m;
+        (
+            if self.two_way() {
+                left_edge - self.lane_m - self.shoulder_m
+            } else {
+                left_edge - 0.6 * self.shoulder_m - 0.2
+            },
+            right_edge + self.extra * self.lane_m + self.shoulder_m,
+        )
+    }
+
     /// The lines and lanes.
     pub fn layout(&self) -> Layout {
         let (lane, count, ego, width_m) = (self.lane_m, self.count, self.ego, self.line_m);
@@ -182,17 +196,9 @@ impl Cross {
         if self.edge_line {
             paint(right_edge, None, false);
         }
-        let verge = self.shoulder_m;
         Layout {
             lines,
-            asphalt_m: (
-                if two_way {
-                    left_edge - lane - verge
-                } else {
-                    left_edge - 0.6 * verge - 0.2
-                },
-                right_edge + verge,
-            ),
+            asphalt_m: self.edges_m(),
             lanes_m: (0..count.min(LANES_MAX))
                 .map(|i| (i as f32 - ego as f32) * lane)
                 .collect(),

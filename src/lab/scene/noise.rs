@@ -150,23 +150,52 @@ impl NoiseColumn {
     }
 }
 
-/// Rough noise of two coordinates from 0 to 2^22, `0..1`, which repeats after 64 in both. It is read from a table, for
-/// surfaces that cover much of the picture.
-#[inline(always)]
-pub fn rough(x: f32, y: f32) -> f32 {
-    const SIDE: usize = 64;
-    static TABLE: OnceLock<Box<[f32; SIDE * SIDE]>> = OnceLock::new();
-    let table = TABLE.get_or_init(|| {
-        Box::new(std::array::from_fn(|i| {
-            unit(hash(0x40C4, (i % SIDE) as i32, (i / SIDE) as i32))
-        }))
-    });
-    let (column, row) = (whole(x) as usize, whole(y) as usize);
-    let at = |column: usize, row: usize| table[(row % SIDE) * SIDE + column % SIDE];
-    let (across, down) = (x - x.floor(), y - y.floor());
-    let above = mix(at(column, row), at(column + 1, row), across);
-    let below = mix(at(column, row + 1), at(column + 1, row + 1), across);
-    mix(above, below, down)
+/// Number of values along each side of the table of rough noise, after which it repeats.
+const ROUGH_SIDE: usize = 64;
+
+/// Rough noise of two coordinates, neither below 0, `0..1`; the first one is fixed. It is read from a table, for surfaces
+/// that cover much of the picture.
+#[derive(Clone, Copy)]
+pub struct RoughColumn {
+    columns: [&'static [f32; ROUGH_SIDE]; 2],
+    across: f32,
+}
+
+impl RoughColumn {
+    /// Fixes the first coordinate.
+    pub fn new(x: f32) -> Self {
+        static TABLE: OnceLock<Box<[[f32; ROUGH_SIDE]; ROUGH_SIDE]>> = OnceLock::new();
+        let table = TABLE.get_or_init(|| {
+            let column = |x| std::array::from_fn(|y| unit(hash(0x40C4, x as i32, y as i32)));
+            Box::new(std::array::from_fn(column))
+        });
+        let column = x as usize;
+        Self {
+            columns: [
+                &table[column % ROUGH_SIDE],
+                &table[(column + 1) % ROUGH_SIDE],
+            ],
+            across: x - column as f32,
+        }
+    }
+
+    /// The noise at the second coordinate.
+    #[inline(always)]
+    pub fn at(&self, y: f32) -> f32 {
+        let row = y as u32 as usize;
+        let value = |row: usize| {
+            let row = row % ROUGH_SIDE;
+            mix(self.columns[0][row], self.columns[1][row], self.across)
+        };
+        mix(value(row), value(row + 1), y - row as f32)
+    }
+
+    /// The noise at the nearest value below the second coordinate.
+    #[inline(always)]
+    pub fn near(&self, y: f32) -> f32 {
+        let row = y as u32 as usize % ROUGH_SIDE;
+        mix(self.columns[0][row], self.columns[1][row], self.across)
+    }
 }
 
 /// The whole part of a number from 0 to 2^22. Unlike a cast, this can be done for several numbers at once.

@@ -2,17 +2,12 @@
 //! there is no end.
 
 use super::noise::{Draws, linear_noise, wander};
-use super::road_kind::Traits;
-use super::sequence::{Passage, Sequence, Stretch};
 use super::world::{Element, World};
 
 /// Distance between two knots of the piecewise linear curvature, metres.
 const CURVATURE_KNOT_M: f64 = 90.0;
 /// Distance between two knots of the piecewise linear grade, metres.
 const GRADE_KNOT_M: f64 = 160.0;
-
-/// The course changes over a longer part of the road than its surface does.
-const COURSE_PASSAGES: f32 = 2.0;
 
 /// A road, and the motion of the car along it.
 #[derive(Clone, Debug)]
@@ -27,8 +22,6 @@ pub struct Road {
     sway_m: f32,
     /// Largest pitch of the body, radians.
     pitch_max: f32,
-    /// The stretches that change its course.
-    sequence: Option<Sequence>,
 }
 
 /// Position of the car, and its angle relative to the road's tangent.
@@ -55,44 +48,17 @@ impl Road {
             speed_mps: draws.range("speed", 31.0, 14.0 + 10.0 * (1.0 - curve)),
             sway_m: world.when(Element::Motion, draws.range("sway", 0.05, 0.30), 0.0),
             pitch_max: world.when(Element::Motion, 0.008, 0.0),
-            sequence: None,
         }
-    }
-
-    /// This road with a course that changes from stretch to stretch.
-    pub fn along(self, sequence: Option<Sequence>) -> Self {
-        Self { sequence, ..self }
     }
 
     /// Curvature at arc length `s_m`, 1/m, right positive.
     pub fn curvature(&self, s_m: f64) -> f32 {
-        self.course(s_m, s_m).curvature(s_m)
+        self.curvature_max * linear_noise(self.draws.seed("curvature"), s_m / CURVATURE_KNOT_M)
     }
 
-    fn course(&self, from_m: f64, to_m: f64) -> Course<'_> {
-        let stretches = self.sequence.as_ref().map_or_else(Vec::new, |sequence| {
-            let around_m = f64::from(COURSE_PASSAGES * 60.0);
-            sequence.between(from_m - around_m, to_m + around_m)
-        });
-        let of = |stretch: &Stretch, name, range: fn(&Traits) -> (f32, f32)| {
-            let (low, high) = range(&stretch.kind.traits());
-            stretch.draws.range(name, low, high)
-        };
-        Course {
-            curvature_seed: self.draws.seed("curvature"),
-            grade_seed: self.draws.seed("grade"),
-            road: self,
-            shares: stretches
-                .iter()
-                .map(|stretch| {
-                    (
-                        of(stretch, "bends", |traits| traits.bends),
-                        of(stretch, "grades", |traits| traits.grades),
-                    )
-                })
-                .collect(),
-            stretches,
-        }
+    /// Grade at arc length `s_m`, metres for each metre.
+    pub fn grade(&self, s_m: f64) -> f32 {
+        self.grade_max * linear_noise(self.draws.seed("grade"), s_m / GRADE_KNOT_M)
     }
 
     /// The car's pose at `t_s` seconds.
@@ -103,9 +69,6 @@ impl Road {
         let phase = f64::from(self.draws.range("speed phase", 0.0, std::f32::consts::TAU));
         let omega = 0.125;
         let s_m = 1_000.0 + v * (t_s + 0.08 / omega * libm::sin(omega * t_s + phase));
-        let s_m = self
-            .sequence
-            .map_or(s_m, |sequence| sequence.reached_m(s_m, self.speed_mps));
         let sway = |t: f64| {
             self.sway_m
                 * (0.7 * wander(self.draws.seed("sway slow"), t / 4.0)
@@ -125,8 +88,7 @@ impl Road {
 
     /// The road ahead of a pose, seen from the car.
     pub fn ahead(&self, pose: &Pose) -> RoadAhead {
-        let course = self.course(pose.s_m, pose.s_m + 600.0);
-        let grade_here = course.grade(pose.s_m);
+        let grade_here = self.grade(pose.s_m);
         let mut nodes = [Node::default(); RoadAhead::NODES];
         let (mut z, mut heading, mut lateral, mut rise) =
             (0.0_f32, -pose.heading, 0.0_f32, 0.0_f32);
@@ -138,44 +100,13 @@ impl Road {
             };
             let step = 0.5 + z * 0.03;
             let middle = pose.s_m + f64::from(z + 0.5 * step);
-            let turned = heading + course.curvature(middle) * step;
+            let turned = heading + self.curvature(middle) * step;
             lateral += 0.5 * (heading + turned) * step;
             heading = turned;
-            rise += (course.grade(middle) - grade_here) * step;
+            rise += (self.grade(middle) - grade_here) * step;
             z += step;
         }
         RoadAhead { nodes }
-    }
-}
-
-/// The course of a part of the road.
-struct Course<'a> {
-    road: &'a Road,
-    curvature_seed: u32,
-    grade_seed: u32,
-    stretches: Vec<Stretch>,
-    /// Curvature and grade of each stretch, as multiples of those of the drive.
-    shares: Vec<(f32, f32)>,
-}
-
-impl Course<'_> {
-    fn share(&self, s_m: f64, of: impl Fn(&(f32, f32)) -> f32) -> f32 {
-        if self.stretches.is_empty() {
-            return 1.0;
-        }
-        Passage::at(&self.stretches, s_m, COURSE_PASSAGES).between(|index| of(&self.shares[index]))
-    }
-
-    /// Curvature at arc length `s_m`, 1/m, right positive.
-    fn curvature(&self, s_m: f64) -> f32 {
-        self.share(s_m, |(bends, _)| *bends)
-            * (self.road.curvature_max * linear_noise(self.curvature_seed, s_m / CURVATURE_KNOT_M))
-    }
-
-    /// Grade at arc length `s_m`, metres for each metre.
-    fn grade(&self, s_m: f64) -> f32 {
-        self.share(s_m, |(_, grades)| *grades)
-            * (self.road.grade_max * linear_noise(self.grade_seed, s_m / GRADE_KNOT_M))
     }
 }
 

@@ -9,9 +9,9 @@ pub enum RoadKind {
     Open,
     /// High dense trees on both sides.
     Forest,
-    /// Houses in gardens behind fences and hedges, and parked cars.
+    /// Houses in gardens behind fences and hedges.
     Suburb,
-    /// A street between houses, and parked cars.
+    /// A street between houses.
     City,
     /// A fast road between rails, barriers and noise walls.
     Motorway,
@@ -21,10 +21,6 @@ pub enum RoadKind {
 
 /// Measures of a kind of road; pairs are ranges from which a stretch draws.
 pub struct Traits {
-    /// Speed, curvature and grade, as multiples of those of the drive.
-    pub speed: f32,
-    pub bends: (f32, f32),
-    pub grades: (f32, f32),
     /// Width of a lane and of the paved shoulder, metres.
     pub lane_m: (f32, f32),
     pub shoulder_m: (f32, f32),
@@ -38,9 +34,8 @@ pub struct Traits {
     pub high_trees: f32,
     /// Distance of the objects from the asphalt, as a multiple of that on roads that do not change.
     pub clear: f32,
-    /// Chances of a rail, and of a vehicle parked at a place.
+    /// Chance of a rail.
     pub rail: f32,
-    pub parked: f32,
     /// Height of the hills, radians.
     pub hills: (f32, f32),
     /// Shade of trees, 0 to 1.
@@ -50,9 +45,6 @@ pub struct Traits {
 }
 
 const OPEN: Traits = Traits {
-    speed: 1.0,
-    bends: (0.5, 1.5),
-    grades: (0.5, 1.2),
     lane_m: (3.0, 3.7),
     shoulder_m: (0.3, 2.0),
     no_edge_line: 0.1,
@@ -63,7 +55,6 @@ const OPEN: Traits = Traits {
     high_trees: 0.3,
     clear: 1.3,
     rail: 0.2,
-    parked: 0.0,
     hills: (0.0, 0.12),
     canopy: (0.0, 0.35),
     bridge: 0.15,
@@ -106,24 +97,16 @@ impl RoadKind {
         after.nth(1).copied().unwrap_or(self)
     }
 
-    /// Speed, as a multiple of that of the drive.
-    pub fn speed(self) -> f32 {
-        self.traits().speed
-    }
-
     /// The measures of this kind.
     pub fn traits(self) -> Traits {
         match self {
             Self::Open => OPEN,
             Self::Forest => Traits {
-                speed: 0.85,
-                bends: (0.8, 2.2),
-                grades: (0.6, 1.5),
                 lane_m: (2.8, 3.4),
                 shoulder_m: (0.2, 0.8),
                 no_edge_line: 0.15,
                 extra_lane: 0.05,
-                density: (0.75, 1.0),
+                density: (0.35, 0.6),
                 buildings: 0.0,
                 posts: 0.05,
                 high_trees: 0.85,
@@ -134,8 +117,6 @@ impl RoadKind {
                 ..OPEN
             },
             Self::Suburb => Traits {
-                speed: 0.65,
-                bends: (0.3, 1.0),
                 lane_m: (2.8, 3.4),
                 shoulder_m: (0.8, 2.8),
                 no_edge_line: 0.3,
@@ -145,16 +126,12 @@ impl RoadKind {
                 high_trees: 0.2,
                 clear: 0.9,
                 rail: 0.05,
-                parked: 0.25,
                 hills: (0.0, 0.10),
                 canopy: (0.1, 0.7),
                 bridge: 0.1,
                 ..OPEN
             },
             Self::City => Traits {
-                speed: 0.5,
-                bends: (0.1, 0.5),
-                grades: (0.2, 0.8),
                 lane_m: (2.8, 3.4),
                 shoulder_m: (1.5, 3.2),
                 no_edge_line: 0.4,
@@ -164,16 +141,12 @@ impl RoadKind {
                 high_trees: 0.1,
                 clear: 0.5,
                 rail: 0.0,
-                parked: 0.45,
                 hills: (0.0, 0.05),
                 canopy: (0.0, 0.3),
                 bridge: 0.2,
                 ..OPEN
             },
             Self::Motorway => Traits {
-                speed: 1.3,
-                bends: (0.1, 0.4),
-                grades: (0.3, 0.8),
                 lane_m: (3.4, 3.8),
                 shoulder_m: (1.5, 3.2),
                 no_edge_line: 0.0,
@@ -189,9 +162,6 @@ impl RoadKind {
                 ..OPEN
             },
             Self::Hillside => Traits {
-                speed: 0.8,
-                bends: (1.2, 2.5),
-                grades: (0.8, 2.0),
                 lane_m: (2.9, 3.5),
                 shoulder_m: (0.2, 1.0),
                 density: (0.3, 0.7),

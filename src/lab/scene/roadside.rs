@@ -1,17 +1,12 @@
-//! What stands beside a stretch of a road that changes: objects, parked vehicles, and belts along the road.
+//! What stands beside a stretch of a road that changes: objects, and belts along the road.
 
 use super::belts::Belt;
 use super::moment::Moment;
 use super::noise::{Draws, hash};
 use super::road_kind::{RoadKind, Traits};
 use super::surroundings::{OBJECT_CELL_M, ObjectKind, Rail, RoadsideObject};
-use super::traffic::{Vehicle, vehicle};
 use super::world::{Element, Look, World};
 
-/// Distance between the places at which a vehicle may be parked, metres.
-const PARKING_M: f64 = 7.0;
-/// Width of a parked vehicle that stands on the shoulder, metres.
-const PARKED_M: f32 = 1.9;
 /// Distances at which objects begin to rise into view, and at which they have their size, metres.
 const RISE_M: (f32, f32) = (260.0, 200.0);
 
@@ -19,7 +14,6 @@ const RISE_M: (f32, f32) = (260.0, 200.0);
 pub struct Roadside {
     density: f32,
     traits: Traits,
-    parked: f32,
     trees: ObjectKind,
     /// On the left and on the right.
     pub belts: [Option<Belt>; 2],
@@ -36,11 +30,6 @@ impl Roadside {
         let density = draws.range("density", traits.density.0, traits.density.1);
         Self {
             density: world.when(Element::Roadside, density, 0.0),
-            parked: if world.has(Element::Flow) && world.has(Element::Traffic) {
-                traits.parked * draws.range("parked", 0.2, 1.6)
-            } else {
-                0.0
-            },
             trees: if world.look == Look::Game {
                 ObjectKind::Conifer
             } else {
@@ -100,7 +89,7 @@ impl Moment<'_> {
             let Some(roadside) = self.way.roadside(s_m, draws) else {
                 continue;
             };
-            let edges_m = self.way.layout(s_m).asphalt_m;
+            let edges_m = self.way.edges_m(s_m);
             let side_edge = if side == 0 {
                 (-1.0, edges_m.0)
             } else {
@@ -114,33 +103,5 @@ impl Moment<'_> {
             }
         }
         objects
-    }
-
-    /// Vehicles that are parked beside a road that changes.
-    pub(super) fn parked(&self) -> Vec<Vehicle> {
-        let place = |z_m: f64| ((self.pose.s_m + z_m) / PARKING_M).floor() as i32;
-        let mut parked = Vec::new();
-        for (place, side) in (place(4.0)..place(150.0)).flat_map(|p| [(p, 0), (p, 1)]) {
-            let draws = Draws(hash(self.drive.seed, place, 0x9A7 + side));
-            let s_m = (f64::from(place) + 0.5) * PARKING_M;
-            let z_m = (s_m - self.pose.s_m) as f32;
-            let roadside = self.way.roadside(s_m, draws);
-            if z_m < 4.0 || !roadside.is_some_and(|r| draws.chance("parked", r.parked)) {
-                continue;
-            }
-            let layout = self.way.layout(s_m);
-            let right_line_m = layout.lines.last().map_or(0.0, |line| line.offset_m);
-            let left_line_m = layout.lines.first().map_or(0.0, |line| line.offset_m);
-            let d_m = if side == 0 {
-                layout.asphalt_m.0.min(left_line_m - 0.3 - PARKED_M) + 0.5 * PARKED_M
-            } else {
-                layout.asphalt_m.1.max(right_line_m + 0.3 + PARKED_M) - 0.5 * PARKED_M
-            };
-            parked.push(Vehicle {
-                parked: true,
-                ..vehicle(draws, z_m, d_m, side == 0 && layout.oncoming_m.is_some())
-            });
-        }
-        parked
     }
 }

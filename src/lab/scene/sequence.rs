@@ -1,16 +1,11 @@
-//! The stretches of a road that changes along the way: where they begin, of which kind they are, and how fast the car
-//! drives in them. Any place and any time can be accessed directly, and there is no end.
+//! The stretches of a road that changes along the way: where they begin, and of which kind they are. Any place can be
+//! accessed directly, and there is no end.
 
 use super::noise::{Draws, hash, smooth};
 use super::road_kind::RoadKind;
 
-/// Number of stretches after which boundaries and times are on a regular grid again.
-const GROUP: i64 = 8;
 /// Length of road over which one stretch passes into the next, metres.
 const PASSAGE_M: (f32, f32) = (10.0, 60.0);
-/// Time in which the car adapts its speed to a stretch, seconds.
-const BRAKING_S: f64 = 8.0;
-
 /// The sequence of the stretches of a road.
 #[derive(Clone, Copy, Debug)]
 pub struct Sequence {
@@ -48,11 +43,7 @@ impl Sequence {
 
     /// Arc length at which the stretch `index` begins, metres.
     fn start_m(&self, index: i64) -> f64 {
-        let aside = if index.rem_euclid(GROUP) == 0 {
-            0.0
-        } else {
-            f64::from(self.own(index).range("start", -0.25, 0.25))
-        };
+        let aside = f64::from(self.own(index).range("start", -0.25, 0.25));
         self.length_m * (index as f64 + aside)
     }
 
@@ -88,62 +79,6 @@ impl Sequence {
                     && stretch.ends_m.1 + f64::from(out_m) > from_m
             })
             .collect()
-    }
-
-    /// Arc length that the car has reached when it would have reached `even_m` at its mean speed of `speed_mps`.
-    pub fn reached_m(&self, even_m: f64, speed_mps: f32) -> f64 {
-        const POINTS: i32 = 16;
-        let half_m = 0.5 * BRAKING_S * f64::from(speed_mps);
-        let mut timetable = Timetable::of(self, even_m - half_m);
-        let sum: f64 = (0..POINTS)
-            .map(|point| {
-                let aside = (f64::from(2 * point + 1) / f64::from(POINTS)) - 1.0;
-                let even_m = even_m + aside * half_m;
-                if even_m >= timetable.end_even_m() {
-                    timetable = Timetable::of(self, even_m);
-                }
-                timetable.reached_m(even_m)
-            })
-            .sum();
-        sum / f64::from(POINTS)
-    }
-}
-
-/// Where the car is at which time in one group of stretches; times are lengths at the mean speed.
-struct Timetable {
-    stops: [(f64, f64); GROUP as usize + 1],
-}
-
-impl Timetable {
-    /// The group in which the car is at `even_m`.
-    fn of(sequence: &Sequence, even_m: f64) -> Self {
-        let whole_m = GROUP as f64 * sequence.length_m;
-        let first = (even_m / whole_m).floor() as i64 * GROUP;
-        let mut stops = [(0.0, 0.0); GROUP as usize + 1];
-        let mut taken = 0.0;
-        for (index, stop) in (first..).zip(&mut stops) {
-            let stretch = sequence.stretch(index);
-            *stop = (taken, stretch.ends_m.0);
-            let speed = stretch.kind.speed() * stretch.draws.range("speed", 0.85, 1.15);
-            taken += (stretch.ends_m.1 - stretch.ends_m.0) / f64::from(speed);
-        }
-        let scale = whole_m / stops[GROUP as usize].0;
-        let start_m = first as f64 * sequence.length_m;
-        for stop in &mut stops {
-            stop.0 = start_m + stop.0 * scale;
-        }
-        Self { stops }
-    }
-
-    fn end_even_m(&self) -> f64 {
-        self.stops[GROUP as usize].0
-    }
-
-    fn reached_m(&self, even_m: f64) -> f64 {
-        let next = self.stops.partition_point(|stop| stop.0 <= even_m);
-        let next = next.clamp(1, GROUP as usize);
-        let (from, to) = (self.stops[next - 1], self.stops[next]);
-        from.1 + (even_m - from.0) / (to.0 - from.0) * (to.1 - from.1)
     }
 }
 
@@ -213,29 +148,6 @@ mod tests {
                 let length = (pair[0].ends_m.1 - pair[0].ends_m.0) / sequence.length_m;
                 assert!((0.5..=1.5).contains(&length), "{length}");
                 assert!(pair[0].passages_m.1 <= 60.0);
-            }
-        }
-    }
-
-    #[test]
-    fn the_car_moves_forward_steadily_and_keeps_its_mean_speed() {
-        for sequence in sequences() {
-            let whole_m = 8.0 * sequence.length_m;
-            let mut last = None;
-            for step in 0..2_000 {
-                let even_m = 1_000.0 + f64::from(step) * 2.0;
-                let reached_m = sequence.reached_m(even_m, 20.0);
-                assert!((reached_m - even_m).abs() < whole_m);
-                if let Some((before_m, moved_m)) = last {
-                    let now_m: f64 = reached_m - before_m;
-                    assert!((0.4..6.0).contains(&now_m), "{now_m} m");
-                    let moved_m: f64 = moved_m;
-                    assert!((now_m / moved_m - 1.0).abs() < 0.2, "{moved_m} {now_m}");
-                    last = Some((reached_m, now_m));
-                } else {
-                    let moved_m = reached_m - sequence.reached_m(even_m - 2.0, 20.0);
-                    last = Some((reached_m, moved_m));
-                }
             }
         }
     }

@@ -5,7 +5,7 @@ use super::bridge::Bridge;
 use super::canvas::{Canvas, Lamp};
 use super::light::{Colour, blended, scaled};
 use super::moment::Moment;
-use super::noise::{rough, value_noise};
+use super::noise::{RoughColumn, value_noise};
 use super::road::Node;
 use super::surroundings::{ObjectKind, Rail, RoadsideObject};
 use super::textures::SNOW;
@@ -54,12 +54,9 @@ impl Moment<'_> {
             self.bridges_ahead()
                 .map(|(z_m, bridge)| (z_m, Standing::Bridge(bridge))),
         );
-        let mut vehicles = drive
+        let vehicles = drive
             .traffic
             .ahead(self.t_s, &self.pose, &drive.road, &self.way);
-        if changing {
-            vehicles.extend(self.parked());
-        }
         standing.extend(
             vehicles
                 .into_iter()
@@ -124,7 +121,7 @@ impl Moment<'_> {
         let ends = [node - 1, node].map(|node| {
             let node = &self.ahead.nodes[node];
             let s_m = self.pose.s_m + f64::from(node.z_m);
-            let edges_m = self.way.layout(s_m).asphalt_m;
+            let edges_m = self.way.edges_m(s_m);
             let d_m = if side == 0 {
                 edges_m.0 - rail.clear_m
             } else {
@@ -216,7 +213,7 @@ impl Moment<'_> {
             let Some(node) = self.ahead.at(z_m) else {
                 continue;
             };
-            let edges_m = self.way.layout(s_m).asphalt_m;
+            let edges_m = self.way.edges_m(s_m);
             let bright = 0.5 * (1.0 - z_m / REFLECTORS_M.1) * (1.0 - z_m / REFLECTORS_M.1);
             for d_m in [edges_m.0 - 0.6, edges_m.1 + 0.6] {
                 let corner = self.corner(&node, d_m, (0.0, 0.8));
@@ -278,11 +275,13 @@ impl Moment<'_> {
                     let (width_m, height_m) = object.size_m;
                     let (dx, dy) = (2.0 * across - 1.0, (up - 0.64) / 0.36);
                     let place = (seed & 0xFF) as f32;
-                    let bough = rough(place + 0.5 * across * width_m, 0.5 * up * height_m);
-                    let leaf = rough(place + 1.6 * across * width_m, 1.6 * up * height_m);
-                    let ragged = 0.6 * bough + 0.4 * leaf;
-                    if dx * dx + dy * dy < 0.45 + 0.75 * ragged {
-                        0.35 + 0.5 * ragged + 0.5 * leaf * up
+                    let beyond = dx * dx + dy * dy;
+                    let noise = |scale: f32| {
+                        RoughColumn::new(place + scale * across * width_m).at(scale * up * height_m)
+                    };
+                    let ragged = if beyond < 1.2 { noise(0.9) } else { 0.0 };
+                    if beyond < 0.45 + 0.75 * ragged {
+                        0.35 + (0.5 + 0.5 * up) * ragged
                     } else if up < 0.5 && dx.abs() < 0.05 {
                         0.7
                     } else {
@@ -344,9 +343,6 @@ impl Moment<'_> {
                 lit(vehicle.colour, 0.75 + 0.35 * up)
             }
         });
-        if vehicle.parked {
-            return;
-        }
         for side in [0.12, 0.88] {
             canvas.lamps.push(Lamp {
                 at: (

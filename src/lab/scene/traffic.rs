@@ -11,9 +11,6 @@ use super::world::{Element, World};
 /// Spacing of the grid, whose cells may hold one vehicle, metres.
 const CELL_M: f64 = 34.0;
 
-/// Number of these cells over which the density of the traffic changes.
-const FLOW_CELLS: f64 = 4.0;
-
 /// A vehicle ahead of the car.
 #[derive(Clone, Copy, Debug)]
 pub struct Vehicle {
@@ -27,8 +24,6 @@ pub struct Vehicle {
     pub colour: Colour,
     /// Whether its front is seen instead of its back.
     pub oncoming: bool,
-    /// Whether it is parked, without lamps.
-    pub parked: bool,
 }
 
 /// The traffic of a drive.
@@ -36,8 +31,6 @@ pub struct Vehicle {
 pub struct Traffic {
     draws: Draws,
     density: f32,
-    /// Whether the density changes along each lane.
-    flows: bool,
 }
 
 impl Traffic {
@@ -50,17 +43,6 @@ impl Traffic {
                 draws.range("traffic density", 0.0, 0.55),
                 0.0,
             ),
-            flows: world.stretch_m > 0 && world.has(Element::Flow),
-        }
-    }
-
-    /// Density of the traffic at the place `cell` of a lane.
-    fn density(&self, cell: i32, lane: i32) -> f32 {
-        if self.flows {
-            let seed = self.draws.seed("flow") ^ lane as u32;
-            (self.density + 0.8 * wander(seed, f64::from(cell) / FLOW_CELLS)).clamp(0.0, 0.85)
-        } else {
-            self.density
         }
     }
 
@@ -68,20 +50,7 @@ impl Traffic {
     pub fn ahead(&self, t_s: f64, pose: &Pose, road: &Road, way: &Way) -> Vec<Vehicle> {
         let mut seen = Vec::new();
         let layout = way.layout(pose.s_m);
-        // All traffic is faster where the car is faster.
-        let t_s = if way.changes() {
-            (pose.s_m - 1_000.0) / f64::from(road.speed_mps)
-        } else {
-            t_s
-        };
-        if self.flows {
-            // The vehicle ahead comes near and drives away.
-            let far = wander(self.draws.seed("lead flow"), t_s / 14.0);
-            let z_m = 34.0 * libm::expf(1.7 * far) + 6.0;
-            if self.draws.chance("lead vehicle", 0.4 + self.density) && z_m < 160.0 {
-                seen.push(vehicle(Draws(self.draws.seed("lead")), z_m, 0.0, false));
-            }
-        } else if self.draws.chance("lead vehicle", 1.2 * self.density) {
+        if self.draws.chance("lead vehicle", 1.2 * self.density) {
             let z_m = self.draws.range("lead distance", 18.0, 70.0)
                 * (1.0 + 0.3 * wander(self.draws.seed("lead breathing"), t_s / 11.0));
             seen.push(vehicle(Draws(self.draws.seed("lead")), z_m, 0.0, false));
@@ -132,7 +101,7 @@ impl Traffic {
             let draws = Draws(hash(self.draws.seed("lane traffic"), k, lane));
             let place_m = (f64::from(k) + f64::from(draws.range("place", 0.2, 0.8))) * CELL_M;
             let z_m = (place_m + moved_m - ego_s_m) as f32;
-            if draws.chance("there", self.density(k, lane)) && (7.0..160.0).contains(&z_m) {
+            if draws.chance("there", self.density) && (7.0..160.0).contains(&z_m) {
                 let layout = way.layout(ego_s_m + f64::from(z_m));
                 let middle_m = middle_m(&layout).unwrap_or_default();
                 seen.push(vehicle(draws, z_m, middle_m, lane == ONCOMING));
@@ -144,8 +113,7 @@ impl Traffic {
 /// The lane number of oncoming traffic.
 const ONCOMING: i32 = -1;
 
-/// A vehicle in the lane with its middle at `middle_m`.
-pub fn vehicle(draws: Draws, z_m: f32, middle_m: f32, oncoming: bool) -> Vehicle {
+fn vehicle(draws: Draws, z_m: f32, middle_m: f32, oncoming: bool) -> Vehicle {
     let lorry = draws.chance("lorry", 0.18);
     Vehicle {
         z_m,
@@ -170,6 +138,5 @@ pub fn vehicle(draws: Draws, z_m: f32, middle_m: f32, oncoming: bool) -> Vehicle
             ],
         ),
         oncoming,
-        parked: false,
     }
 }

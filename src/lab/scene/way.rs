@@ -32,7 +32,7 @@ const SHADE_M: f64 = 34.0;
 /// What changes along a drive, and from what.
 #[derive(Clone, Debug)]
 pub struct Changes {
-    pub sequence: Sequence,
+    sequence: Sequence,
     world: World,
     cross: Cross,
     draws: Draws,
@@ -172,6 +172,21 @@ impl<'a> Way<'a> {
             })
     }
 
+    /// Left and right edge of the asphalt at a place.
+    pub fn edges_m(&self, s_m: f64) -> (f32, f32) {
+        self.passage(s_m, 1.0)
+            .map_or(self.drive.layout.asphalt_m, |passage| {
+                let here = self.appearances[passage.here].cross.edges_m();
+                if passage.share > 0.0 {
+                    let other = self.appearances[passage.other].cross.edges_m();
+                    let between = |a: f32, b: f32| a + passage.share * (b - a);
+                    (between(here.0, other.0), between(here.1, other.1))
+                } else {
+                    here
+                }
+            })
+    }
+
     /// The textures of the ground at a place: there is an edge between two kinds of asphalt, and none in the verge.
     pub fn textures(&self, s_m: f64) -> Cow<'_, Textures> {
         self.passage(s_m, 1.0).map_or(
@@ -237,9 +252,8 @@ impl<'a> Way<'a> {
         let Some(changes) = &self.drive.changes else {
             return 1.0;
         };
-        let speed_mps = 2.0 * (self.s_m - self.drive.road.pose(t_s - 0.5).s_m);
         let wanted = |ago_s: f64| {
-            let at_m = self.s_m - ago_s * speed_mps;
+            let at_m = self.s_m - ago_s * f64::from(self.drive.road.speed_mps);
             let kept = [7.0, 13.0, 22.0].map(|ahead_m| {
                 let shade = self.shade(at_m + ahead_m);
                 (1.0 - 0.8 * shade.canopy) * (1.0 - 0.6 * shade.roof)
@@ -271,11 +285,6 @@ impl<'a> Way<'a> {
         self.appearances[index].roadside.as_ref()
     }
 
-    /// Whether the road changes.
-    pub fn changes(&self) -> bool {
-        !self.stretches.is_empty()
-    }
-
     /// Whether objects are those of the stretches.
     pub fn has_roadsides(&self) -> bool {
         self.appearances.iter().any(|a| a.roadside.is_some())
@@ -305,12 +314,6 @@ impl<'a> Way<'a> {
         (2.0 * share).min(1.0)
     }
 
-    /// Whether a place is in the stretch `index`.
-    pub fn is_in(&self, index: usize, s_m: f64) -> bool {
-        let (from_m, to_m) = self.stretches[index].ends_m;
-        (from_m..to_m).contains(&s_m)
-    }
-
     /// The rails on the side `side` (0 left, 1 right), and the arc lengths of their ends.
     pub fn rails(&self, side: usize) -> Vec<(&Rail, (f64, f64))> {
         if self.has_roadsides() {
@@ -325,6 +328,16 @@ impl<'a> Way<'a> {
             let rail = self.drive.surroundings.rails[side].as_ref();
             rail.map(|rail| (rail, everywhere)).into_iter().collect()
         }
+    }
+
+    /// The ends of the stretch `index`, with a share of its passages.
+    pub fn ends_m(&self, index: usize, share: f32) -> (f64, f64) {
+        let stretch = &self.stretches[index];
+        let passages_m = stretch.passages_m;
+        (
+            stretch.ends_m.0 - f64::from(share * passages_m.0),
+            stretch.ends_m.1 + f64::from(share * passages_m.1),
+        )
     }
 }
 

@@ -96,10 +96,6 @@ pub enum Element {
     Surface,
     /// In drives that change: width of the lanes, shoulders, one more lane, and kinds of lines.
     Markings,
-    /// In drives that change: bends, hills and speed.
-    Course,
-    /// In drives that change: density of the traffic, and parked vehicles.
-    Flow,
     /// In drives that change: clouds before the sun.
     Sunlight,
     /// In drives that change: shade of trees.
@@ -112,7 +108,7 @@ pub enum Element {
 
 impl Element {
     /// All elements.
-    pub const ALL: [Self; 24] = [
+    pub const ALL: [Self; 22] = [
         Self::Curves,
         Self::Grades,
         Self::Motion,
@@ -131,8 +127,6 @@ impl Element {
         Self::Scenery,
         Self::Surface,
         Self::Markings,
-        Self::Course,
-        Self::Flow,
         Self::Sunlight,
         Self::Canopy,
         Self::Bridges,
@@ -140,12 +134,10 @@ impl Element {
     ];
 
     /// The elements that only drives with stretches have.
-    pub const OF_CHANGES: [Self; 9] = [
+    pub const OF_CHANGES: [Self; 7] = [
         Self::Scenery,
         Self::Surface,
         Self::Markings,
-        Self::Course,
-        Self::Flow,
         Self::Sunlight,
         Self::Canopy,
         Self::Bridges,
@@ -173,8 +165,6 @@ impl Element {
             Self::Scenery => "scenery",
             Self::Surface => "surface",
             Self::Markings => "markings",
-            Self::Course => "course",
-            Self::Flow => "flow",
             Self::Sunlight => "sunlight",
             Self::Canopy => "canopy",
             Self::Bridges => "bridges",
