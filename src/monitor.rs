@@ -30,6 +30,8 @@ pub mod profile;
 pub mod continuity;
 pub mod cusum;
 pub mod history;
+pub mod unrest;
+
 pub mod span_watch;
 
 pub mod detector;

@@ -10,6 +10,7 @@ use crate::calibration::drive::SurveyedDrive;
 use crate::capture::undefined::Undefined;
 use crate::monitor::history::BIN;
 use crate::monitor::span_watch::SpanWatch;
+use crate::monitor::unrest::Unrest;
 use crate::reference::gap::Metric;
 use crate::reference::gap::moments::{EnergyNorm, SPANS_OWN};
 use crate::reference::{Component, SPREAD_MIN, SpanNorm};
@@ -74,33 +75,69 @@ pub fn scale<D: SurveyedDrive>(
 ) -> Result<(), CalibrationError> {
     let own = std::slice::from_ref(&*component);
     // [drives][taps][spans][distances]
-    let distances = look_at_all(scaled, |part| distances(part, own))?;
+    let mut distances = look_at_all(scaled, |part| distances(part, own))?;
+    let spans = component.spans();
+    for (tap, of) in component.taps.iter_mut().enumerate() {
+        for (span, norm) in of.spans.iter_mut().enumerate() {
+            let all: Vec<f64> = distances
+                .iter()
+                .flat_map(|drive| &drive[tap][span])
+                .copied()
+                .collect();
+            norm.windows = all.len();
+            let wider = simulation.map(|of| of.taps[tap].spans[span].median);
+            norm.median = match (median(all), wider) {
+                (Some(own), None) => own,
+                (Some(own), Some(_)) if norm.windows >= DISTANCES_MIN => own,
+                (Some(own), Some(wider)) => own.max(wider),
+                (None, Some(wider)) => wider,
+                (None, None) => {
+                    return Err(wrong(&of.tap, Metric::Mahalanobis, Undefined::NoScore));
+                }
+            };
+        }
+    }
+    let changes = (0..spans).filter(|&span| component.taps[0].spans[span].span.is_change());
+    for span in changes {
+        let medians: Vec<f64> = component
+            .taps
+            .iter()
+            .map(|of| of.spans[span].median)
+            .collect();
+        distances
+            .iter_mut()
+            .for_each(|drive| calm(drive, span, &medians));
+    }
     for (tap, of) in component.taps.iter_mut().enumerate() {
         for (span, norm) in of.spans.iter_mut().enumerate() {
             let all = distances.iter().flat_map(|drive| &drive[tap][span]);
             let mut all: Vec<f64> = all.copied().collect();
             all.sort_by(f64::total_cmp);
-            norm.windows = all.len();
-            let high = quantile(&all, HELD_QUANTILE);
-            let found = median(all).zip(high);
-            let wider = simulation.map(|of| &of.taps[tap].spans[span]);
-            let (middle, high) = match (found, wider) {
-                (Some(found), None) => found,
-                (Some(found), Some(_)) if norm.windows >= DISTANCES_MIN => found,
-                (Some((middle, high)), Some(wider)) => {
-                    (middle.max(wider.median), high.max(wider.held_from))
-                }
-                (None, Some(wider)) => (wider.median, wider.held_from),
-                (None, None) => {
-                    return Err(wrong(&of.tap, Metric::Mahalanobis, Undefined::NoScore));
-                }
+            let wider = simulation.map(|of| of.taps[tap].spans[span].held_from);
+            let high = match (quantile(&all, HELD_QUANTILE), wider) {
+                (Some(own), Some(wider)) if norm.windows < DISTANCES_MIN => own.max(wider),
+                (own, wider) => own.or(wider).unwrap_or(norm.median),
             };
-            norm.median = middle;
-            norm.held_from = high.max(middle + SPREAD_MIN);
+            norm.held_from = high.max(norm.median + SPREAD_MIN);
             norm.threshold = norm.held_from;
         }
     }
     Ok(())
+}
+
+/// Divides the distances of a drive's changes by how much its road changes anyway, as the monitor does.
+fn calm(drive: &mut [Vec<Vec<f64>>], span: usize, medians: &[f64]) {
+    let mut unrest = Unrest::default();
+    let bins = drive.first().map_or(0, |of| of[span].len());
+    for bin in 0..bins {
+        let level = unrest.level();
+        let relative = drive
+            .iter()
+            .zip(medians)
+            .map(|(of, median)| of[span][bin] / median);
+        unrest.push(relative.fold(0.0, f64::max));
+        drive.iter_mut().for_each(|of| of[span][bin] /= level);
+    }
 }
 
 /// Distances of a part of a drive, `[taps][spans][distances]`, one every half a second.

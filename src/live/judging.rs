@@ -108,7 +108,6 @@ mod tests {
                 gap: score,
                 change: None,
                 parts: heapless::Vec::new(),
-                holds: false,
                 blocks: heapless::Vec::new(),
                 component: 0,
                 drift: 0.0,

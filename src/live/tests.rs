@@ -293,7 +293,6 @@ impl World {
                     gap: score,
                     change: None,
                     parts: heapless::Vec::new(),
-                    holds: false,
                     blocks: heapless::Vec::new(),
                     component: 0,
                     drift,

@@ -43,8 +43,6 @@ pub struct Evidence {
     /// The score of the window, then that of each span, each for the domain that is nearest to it; `None` while it is
     /// not known.
     pub parts: heapless::Vec<Option<f64>, PARTS_MAX>,
-    /// The road has changed so far that its past is held.
-    pub holds: bool,
     /// One entry for each tap, against the nearest nominal domain.
     pub blocks: heapless::Vec<BlockScore, TAPS_MAX>,
     /// The nearest nominal domain, by its index in the reference.
@@ -191,7 +189,6 @@ impl Detector {
         let fill = ((now - began).as_secs_f64() / self.span.as_secs_f64()).min(1.0);
         self.watch.add(now, counts);
         let mut evidence = self.evidence(fill)?;
-        self.watch.hold(evidence.holds);
         if fill >= 1.0 {
             evidence.drift = self.cusum.add(now, evidence.gap);
         }
@@ -229,7 +226,6 @@ impl Detector {
                     gap,
                     change: None,
                     parts: heapless::Vec::new(),
-                    holds: false,
                     blocks,
                     component: index,
                     drift: 0.0,
@@ -241,8 +237,8 @@ impl Detector {
         let mut evidence = nearest.ok_or(Undefined::NoScore)?;
         let changes = (0..spans).filter(|&span| self.watch.is_change(span));
         let changes = changes.filter_map(|span| parts[1 + span]);
-        evidence.change = changes.clone().map(|of| of.score).reduce(f64::max);
-        evidence.holds = changes.clone().any(|of| of.holds);
+        evidence.change = changes.map(|of| of.score).reduce(f64::max);
+        self.watch.note(&parts[1..=spans]);
         let known = parts.iter().take(1 + spans);
         evidence.parts = known.map(|part| part.map(|of| of.score)).collect();
         Ok(evidence)
@@ -339,7 +335,6 @@ mod tests {
             gap: score,
             change: None,
             parts: heapless::Vec::new(),
-            holds: false,
             blocks: heapless::Vec::new(),
             component: 0,
             drift,

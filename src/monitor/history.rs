@@ -133,7 +133,7 @@ impl History {
     /// Adds a frame's levels, `[width]`, at the time `seen`, which never goes back. While `held`, nothing enters the
     /// past.
     pub fn add(&mut self, seen: Duration, levels: &[u32], held: bool) {
-        let number = bins_of(seen);
+        let number = number_of_bin(seen);
         if self.began.is_none() {
             self.settled = number;
         }
@@ -207,7 +207,7 @@ impl History {
         if lasted.is_none_or(|lasted| lasted < BIN * (bins as u32 - 1)) {
             return false;
         }
-        let from = (bins_of(seen) + 1).saturating_sub(bins as u64);
+        let from = (number_of_bin(seen) + 1).saturating_sub(bins as u64);
         mean.fill(0.0);
         let mut frames = 0;
         for place in 0..self.recent.len {
@@ -263,7 +263,8 @@ fn scale(sums: &mut [f64], count: f64) {
     sums.iter_mut().for_each(|sum| *sum *= share);
 }
 
+/// The number of the bin of a time.
 #[allow(clippy::cast_possible_truncation)]
-fn bins_of(seen: Duration) -> u64 {
+pub fn number_of_bin(seen: Duration) -> u64 {
     (seen.as_nanos() / BIN.as_nanos()) as u64
 }

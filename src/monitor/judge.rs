@@ -130,6 +130,7 @@ impl Judge {
             None => known,
             Some(evidence) => Verdict {
                 score: Some(evidence.score()),
+                change: evidence.change,
                 window_frames: Some(evidence.frames),
                 nominal_domain: Some(evidence.component),
                 drift: Some(evidence.drift),

@@ -7,7 +7,8 @@
 use std::time::Duration;
 
 use crate::monitor::continuity::Continuity;
-use crate::monitor::history::{BIN, History};
+use crate::monitor::history::{BIN, History, number_of_bin};
+use crate::monitor::unrest::Unrest;
 use crate::reference::{Component, Span, SpanNorm};
 
 /// Longest time for which the past is held, in which the road was seen.
@@ -37,6 +38,10 @@ struct Watched {
     /// `[energies]`, nats.
     levels: Vec<f64>,
     is_known: bool,
+    /// How much the road changes anyway; for changes.
+    unrest: Unrest,
+    /// The last distance of this bin, as a multiple of the nominal median, and the number of the bin.
+    newest: Option<(u64, f64)>,
 }
 
 /// What one span says of one nominal domain.
@@ -46,6 +51,8 @@ pub struct SpanScore {
     pub score: f64,
     /// So far from nominal that the past is to be held.
     pub holds: bool,
+    /// The distance as a multiple of its nominal median; the largest of the blocks.
+    pub relative: f64,
 }
 
 impl SpanScore {
@@ -54,6 +61,7 @@ impl SpanScore {
         Self {
             score,
             holds: false,
+            relative: 0.0,
         }
     }
 }
@@ -79,6 +87,8 @@ impl SpanWatch {
             past_bins: span.past_s.map(bins),
             levels: vec![0.0; width],
             is_known: false,
+            unrest: Unrest::default(),
+            newest: None,
         };
         Self {
             spans: spans.iter().map(watched).collect(),
@@ -123,6 +133,7 @@ impl SpanWatch {
             Some(since) => self.seen += since,
             None if lost => {
                 self.history.forget();
+                self.forget_unrest();
                 self.held_since = None;
             }
             None => self.history.interrupt(held),
@@ -153,35 +164,64 @@ impl SpanWatch {
     pub fn score(&mut self, span: usize, component: &Component) -> Option<SpanScore> {
         let of = self.spans.get(span).filter(|span| span.is_known)?;
         let mut levels = of.levels.as_slice();
+        let unrest = of.unrest.level();
         let mut found = SpanScore {
             score: f64::NEG_INFINITY,
-            holds: false,
+            ..SpanScore::of(0.0)
         };
         for tap in &component.taps {
             let (own, rest) = levels.split_at(tap.nominal.len());
             levels = rest;
             let norm: &SpanNorm = tap.spans.get(span)?;
             let distance = norm.norm.distance_of(own, &mut self.deviations);
-            found.score = found.score.max(norm.score(distance));
-            found.holds |= distance >= norm.held_from;
+            found.relative = found
+                .relative
+                .max(distance / norm.median.max(f64::MIN_POSITIVE));
+            found.score = found.score.max(norm.score(distance / unrest));
+            found.holds |= distance / unrest >= norm.held_from;
         }
         Some(found)
     }
 
-    /// Holds the past while something has changed, at most for [`HELD_MAX`]. Returns whether a change has lasted so long
-    /// that the past begins anew.
-    pub fn hold(&mut self, changed: bool) -> bool {
-        if !changed {
+    /// Takes the scores of the spans for the domains that are nearest to them. While something has changed, the past is
+    /// held, at most for [`HELD_MAX`]; then it begins anew.
+    pub fn note(&mut self, scores: &[Option<SpanScore>]) {
+        let changes = self.spans.iter().zip(scores);
+        let mut changes = changes.filter(|(span, _)| span.past_bins.is_some());
+        if !changes.any(|(_, score)| score.is_some_and(|score| score.holds)) {
             self.held_since = None;
-            return false;
+            let bin = number_of_bin(self.seen);
+            for (span, score) in self.spans.iter_mut().zip(scores) {
+                if let (Some(_), Some(score)) = (span.past_bins, score) {
+                    span.see(bin, score.relative);
+                }
+            }
+            return;
         }
         let since = *self.held_since.get_or_insert(self.seen);
-        let over = self.seen - since >= HELD_MAX;
-        if over {
+        if self.seen - since >= HELD_MAX {
             self.history.forget_past();
+            self.forget_unrest();
             self.held_since = None;
         }
-        over
+    }
+
+    fn forget_unrest(&mut self) {
+        for span in &mut self.spans {
+            span.unrest.forget();
+            span.newest = None;
+        }
+    }
+}
+
+impl Watched {
+    /// Takes the distance that was seen in a bin. The last one of a bin counts.
+    fn see(&mut self, bin: u64, relative: f64) {
+        match self.newest {
+            Some((of, before)) if of != bin => self.unrest.push(before),
+            _ => {}
+        }
+        self.newest = Some((bin, relative));
     }
 }
 
