@@ -6,6 +6,9 @@
 //! models only what the lane task needs: a road surface of clothoids and hills, upright boards on it, light, and a
 //! lens.
 //!
+//! A road may pass into stretches of other kinds along the way (`sequence`, `road_kind`). `way` says how it looks at
+//! each place; on other roads, every place looks like the whole drive.
+//!
 //! Data flow: `Road`, `Layout`, `Surroundings`, `Traffic`, `Light` → [`Renderer`] (linear light and depth) → weather →
 //! lens → sensor → 8-bit frame and lane mask. A [`World`] says which look it has, and which elements.
 //!

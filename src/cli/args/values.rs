@@ -29,7 +29,7 @@ macro_rules! sources {
 pub const SOURCES: &str = sources!(
     "  scene:sim[?seed=7&seconds=60&fps=10&condition=fog:3@20-40]
       rendered drive; the fog has severity 3 at 20 s and is gone at 40 s;
-      also size=WxH, without=ELEMENT, and the looks sim-realistic and game\n",
+      also size=WxH, stretch=M, unlit=1, without=ELEMENT, and the looks sim-realistic and game\n",
     "  FILE.mcap[?topic=/camera]
       recording with images of ROS 2 or Foxglove: the topic that ?topic= names, or its only topic
       with images

@@ -10,6 +10,8 @@ use super::world::{Look, World};
 
 /// Belts are seen up to this distance, metres.
 const REACH_M: f32 = 380.0;
+/// Makes the outer one of two belts at the same distance the farther one; this is a share of its distance from the road.
+const OUTER_FIRST: f32 = 1e-3;
 /// The texture of a belt repeats after this length of road, metres.
 const REPEAT_M: f64 = 4_096.0;
 /// Width of a house in a row, metres.
@@ -216,7 +218,7 @@ impl Moment<'_> {
                     let (near_m, far_m) = (nodes[node - 1].z_m, nodes[node].z_m);
                     let there = far_m > from_m && near_m < to_m;
                     (there && near_m >= 1.0 && far_m < REACH_M).then_some((
-                        far_m,
+                        far_m + OUTER_FIRST * belt.clear_m,
                         BeltPiece {
                             belt,
                             side,
