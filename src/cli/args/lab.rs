@@ -116,6 +116,13 @@ pub struct EvaluateArgs {
     /// The look that is nominal for this reference
     #[arg(long, value_name = "NAME", default_value_t = Look::Sim)]
     pub look: Look,
+    /// For domain_detection, false_alarms and cause: mean length of the stretches through which the roads of the drives
+    /// pass, metres; 0 for roads of one kind
+    #[arg(long, value_name = "METRES", default_value_t = 0, value_parser = stretch)]
+    pub stretch: u32,
+    /// For false_alarms: frames a second of the drives (default: the rate that the reference names)
+    #[arg(long, value_name = "HZ", value_parser = rate)]
+    pub fps: Option<f64>,
     /// Number of drives for each event
     #[arg(long, value_name = "N", conflicts_with = "quick", value_parser = whole::<u32>(1..=10_000))]
     pub drives: Option<u32>,
@@ -390,4 +397,12 @@ fn temperature(text: &str) -> Result<Temperature, String> {
         None => positive(text).map(Temperature::Absolute),
     }
     .ok_or_else(|| "wanted a temperature above 0, as in 10 or 0.2peak".to_owned())
+}
+
+fn stretch(text: &str) -> Result<u32, String> {
+    let metres = text.parse().map_err(|_| "wanted whole metres")?;
+    match metres {
+        0 | 100..=10_000 => Ok(metres),
+        _ => Err("wanted 0 or 100 to 10000 metres".to_owned()),
+    }
 }

@@ -65,8 +65,9 @@ pub fn rows(watched: &Watched, args: &EvaluateArgs) -> anyhow::Result<Vec<Row<Sa
             false_alarms::DRIVE_S,
         )
     };
+    let fps = args.fps.unwrap_or(watched.reference.rate.rate_hz);
     let scripts: Vec<Script> = (0..drives)
-        .map(|n| false_alarms::script(args.look, n.into(), seconds))
+        .map(|n| false_alarms::script(args.look, args.stretch, n.into(), (seconds, fps)))
         .collect();
     let bar = progress::over(Some(scripts.len() as u64), "false alarms", "drives");
     let scores = scores_of(&scripts, &watched.encoder, &watched.reference, &|| {
@@ -78,7 +79,13 @@ pub fn rows(watched: &Watched, args: &EvaluateArgs) -> anyhow::Result<Vec<Row<Sa
         .map(|rate| {
             let factor = watched.factor_for(rate.per_hour)?;
             Ok(Row {
-                of: false_alarms::rate(args.look, &scores, rate.per_hour, factor).into(),
+                of: false_alarms::rate(
+                    (args.look, args.stretch, fps),
+                    &scores,
+                    rate.per_hour,
+                    factor,
+                )
+                .into(),
                 default: watched.default,
             })
         })
@@ -91,6 +98,8 @@ pub fn sheets(rows: &[Row<Said>]) -> Vec<Sheet> {
         "False alarms an hour on nominal drives".to_owned(),
         [
             "nominal",
+            "stretch, m",
+            "frames/s",
             "wanted",
             "measured",
             "95 % interval",
@@ -108,6 +117,8 @@ pub fn sheets(rows: &[Row<Said>]) -> Vec<Sheet> {
         let none = || "-".to_owned();
         sheet.rows.push(vec![
             of.nominal.clone(),
+            of.stretch_m.to_string(),
+            of.fps.to_string(),
             of.wanted.to_string(),
             of.measured.map_or_else(none, |found| format!("{found:.2}")),
             of.bound

@@ -8,26 +8,26 @@ use crate::lab::scene::Look;
 use crate::statistics::bootstrap;
 use crate::statistics::event_rate::{CountedRate, Loudness, poisson_interval};
 
-/// Frames a second of the drives.
-const FPS: f64 = 2.0;
 /// Length of a drive, seconds.
 pub const DRIVE_S: f64 = 300.0;
 /// First seed of the drives.
 pub const FIRST_SEED: u64 = 100_001;
 
-/// The nominal drive with this number.
-pub fn script(nominal: Look, number: u64, seconds: f64) -> Script {
+/// The nominal drive with this number; `stretch_m` is the mean length of the stretches of its road, metres, 0 for a road
+/// of one kind.
+pub fn script(nominal: Look, stretch_m: u32, number: u64, (seconds, fps): (f64, f64)) -> Script {
     Script {
         parts: vec![(
             0.0,
             Shown::Drive {
                 look: nominal,
                 seed: FIRST_SEED + number,
+                stretch_m,
                 conditions: vec![],
             },
         )],
         seconds,
-        fps: FPS,
+        fps,
     }
 }
 
@@ -36,6 +36,12 @@ pub fn script(nominal: Look, number: u64, seconds: f64) -> Script {
 pub struct FalseAlarmRate {
     /// The nominal look.
     pub nominal: String,
+    /// Mean length of the stretches of the roads, metres; 0 for roads of one kind.
+    #[serde(default)]
+    pub stretch_m: u32,
+    /// Frames a second of the drives; 0 in files of older versions.
+    #[serde(default)]
+    pub fps: f64,
     /// Entries an hour for which the thresholds are made.
     pub wanted: f64,
     /// Entries an hour that were found; `None` if nothing could be judged.
@@ -74,7 +80,12 @@ impl FalseAlarmRate {
 }
 
 /// Counts the entries of drives at thresholds `factor` times as far from their medians as those of the scores.
-pub fn rate(nominal: Look, drives: &[DriveScores], wanted: f64, factor: f64) -> FalseAlarmRate {
+pub fn rate(
+    (nominal, stretch_m, fps): (Look, u32, f64),
+    drives: &[DriveScores],
+    wanted: f64,
+    factor: f64,
+) -> FalseAlarmRate {
     let of = |drive: &DriveScores| (drive.entries(factor), drive.hours());
     let judged: Vec<(u64, f64)> = drives.iter().map(of).filter(|of| of.1 > 0.0).collect();
     let entries: u64 = judged.iter().map(|of| of.0).sum();
@@ -88,6 +99,8 @@ pub fn rate(nominal: Look, drives: &[DriveScores], wanted: f64, factor: f64) -> 
     let measured = (hours > 0.0).then(|| entries as f64 / hours);
     FalseAlarmRate {
         nominal: nominal.name().to_owned(),
+        stretch_m,
+        fps,
         wanted,
         measured,
         bound,
@@ -124,8 +137,13 @@ mod tests {
     #[test]
     fn entries_that_come_together_leave_more_doubt_than_single_ones() {
         // 60 entries in 60 drives, which are an hour: one in each drive, or five in every fifth drive.
-        let single = rate(Look::Sim, &drives(&[1; 60]), 60.0, 1.0);
-        let together = rate(Look::Sim, &drives(&[5, 0, 0, 0, 0].repeat(12)), 60.0, 1.0);
+        let single = rate((Look::Sim, 0, 2.0), &drives(&[1; 60]), 60.0, 1.0);
+        let together = rate(
+            (Look::Sim, 0, 2.0),
+            &drives(&[5, 0, 0, 0, 0].repeat(12)),
+            60.0,
+            1.0,
+        );
         assert_eq!((single.entries, together.entries), (60, 60));
         let exact = poisson_interval(60, single.hours);
         assert_eq!(single.bound, Some(exact));
@@ -156,13 +174,18 @@ mod tests {
         for i in 0..7_200_u64 {
             blind.add_unjudged(Duration::from_millis(500 * i), Reason::Undefined);
         }
-        let found = rate(Look::Sim, &[blind.clone(), blind.clone()], 1.0, 1.0);
+        let found = rate(
+            (Look::Sim, 0, 2.0),
+            &[blind.clone(), blind.clone()],
+            1.0,
+            1.0,
+        );
         assert_eq!((found.drives, found.measured, found.bound), (0, None, None));
         let missing = found.missing().unwrap();
         assert_eq!(missing, "3.0 hours without an entry");
         let mut some = drives(&[1; 6]);
         some.push(blind);
-        let found = rate(Look::Sim, &some, 1.0, 1.0);
+        let found = rate((Look::Sim, 0, 2.0), &some, 1.0, 1.0);
         assert!((found.hours - 0.1).abs() < 1e-9, "{found:?}");
         assert_eq!(found.drives, 6);
     }

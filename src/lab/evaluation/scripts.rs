@@ -10,7 +10,9 @@ use crate::capture::pixels::Pixels;
 use crate::capture::{Frame, Picture};
 use crate::lab::scene::{Condition, Drive, Look, Renderer, World};
 use crate::model::encoder::{Encoder, EncoderError};
+use crate::monitor::alarm::{Judgement, Reason};
 use crate::monitor::pipeline::Sight;
+use crate::monitor::rate::Looks;
 use crate::reference::Reference;
 
 /// What a drive shows in one of its parts.
@@ -22,6 +24,8 @@ pub enum Shown {
         look: Look,
         /// The drive's seed.
         seed: u64,
+        /// Mean length of the stretches of its road, metres; 0 for a road of one kind.
+        stretch_m: u32,
         /// Its conditions.
         conditions: Vec<Condition>,
     },
@@ -79,21 +83,30 @@ impl Script {
                 Shown::Drive {
                     look,
                     seed,
+                    stretch_m,
                     conditions,
                 } => {
-                    let drive = Drive::new(&World::of(*look), *seed, conditions);
+                    let world = World {
+                        stretch_m: *stretch_m,
+                        ..World::of(*look)
+                    };
+                    let drive = Drive::new(&world, *seed, conditions);
                     (*from_s, Some(drive), 0)
                 }
                 Shown::Noise { seed } => (*from_s, None, *seed),
             })
             .collect();
         let mut scores = DriveScores::default();
+        let mut looks = Looks::new(reference.rate.at_most(self.fps));
         // Lengths and rates of evaluations are small numbers.
         #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)]
         let frames = (self.seconds * self.fps).ceil() as u64;
         for sequence in 0..frames {
             #[allow(clippy::cast_precision_loss)]
             let at_s = sequence as f64 / self.fps;
+            if !looks.is_due(Duration::from_secs_f64(at_s)) {
+                continue;
+            }
             let part = drives.iter().rev().find(|(from_s, ..)| *from_s <= at_s);
             let Some((_, drive, noise)) = part else {
                 continue;
@@ -112,6 +125,11 @@ impl Script {
                 })),
             });
             scores.add_evidence(seen.at, &seen.evidence);
+            let (judgement, score) = match &seen.evidence {
+                Ok(of) => (of.judgement(), Some(of.score())),
+                Err(why) => (Judgement::Cannot(Reason::from(why)), None),
+            };
+            looks.judged(seen.at, judgement, score);
         }
         Ok(scores)
     }
