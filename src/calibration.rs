@@ -20,6 +20,9 @@ mod spans;
 
 mod calibrate;
 
+mod cause_names;
+mod causes;
+
 pub mod shard;
 
 pub use binning::{
@@ -27,6 +30,8 @@ pub use binning::{
     counts_of,
 };
 pub use calibrate::{Calibrated, Domain, calibrate, looks};
+pub use cause_names::{CauseName, cause_of, with_conditions};
+pub use causes::{LearntCauses, learn_causes};
 pub use drive::{LabelledDrive, LabelledMeans, SurveyedDrive};
 pub use error::CalibrationError;
 pub use false_alarms::{DriveScores, is_judging};

@@ -12,7 +12,7 @@
 //!
 //! use gapwatch::can::message::GapStatus;
 //! use gapwatch::monitor::alarm::{AlarmState, Reason};
-//! use gapwatch::monitor::cause::Cause;
+//! use gapwatch::reference::cause::Cause;
 //!
 //! let status = GapStatus {
 //!     state: AlarmState::Gap,

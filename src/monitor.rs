@@ -38,7 +38,6 @@ pub mod detector;
 pub mod scorer;
 
 pub mod alarm;
-pub mod cause;
 pub mod rate;
 pub mod timing;
 

@@ -12,6 +12,9 @@
 
 pub mod gap;
 
+pub mod cause;
+
+mod causes;
 mod nominal;
 mod rate;
 mod span;
@@ -19,6 +22,7 @@ mod span;
 mod file;
 mod pretty;
 
+pub use causes::*;
 pub use file::*;
 pub use nominal::*;
 pub use rate::*;

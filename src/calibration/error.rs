@@ -23,6 +23,9 @@ pub enum CalibrationError {
     /// A drive can no longer be read.
     #[error(transparent)]
     Store(#[from] StoreError),
+    /// Causes cannot be learnt from what was given.
+    #[error("--causes: {0}")]
+    Causes(String),
     /// Histograms cannot be compared.
     #[error("tap {tap}, metric {metric}: {why}")]
     Comparison {

@@ -31,7 +31,7 @@ impl Target {
     }
 
     /// Whether windows and changes have nominal spreads of their own.
-    pub(super) fn is_timed(&self) -> bool {
+    pub fn is_timed(&self) -> bool {
         self.metric == Metric::Mahalanobis && self.evidence == EvidenceKind::Windows
     }
 }

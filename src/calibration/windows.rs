@@ -14,6 +14,7 @@ use crate::monitor::extraction::Extraction;
 use crate::monitor::rate::Looks;
 use crate::monitor::scorer::Scorer;
 use crate::reference::gap::Metric;
+use crate::reference::gap::moments::STEPS_PER_NAT;
 use crate::reference::{Component, Nominal};
 
 /// Frames of one drive, all of which can be judged.
@@ -42,6 +43,11 @@ impl<'a> Part<'a> {
             first,
             frames: frames.collect::<Result<_, _>>()?,
         })
+    }
+
+    /// Name of the drive.
+    pub fn source(&self) -> &str {
+        &self.survey.source
     }
 
     /// When the frames were taken.
@@ -190,6 +196,25 @@ impl Track {
     /// Time and numbers of each frame.
     pub fn frames(&self) -> impl Iterator<Item = (Duration, &[u32])> {
         self.at.iter().copied().zip(self.rows(0..self.at.len()))
+    }
+
+    /// Mean levels of the frames after `from_s` up to `to_s`, nats; `None` without frames there, or if the drive ends
+    /// before.
+    #[allow(clippy::cast_precision_loss)]
+    pub fn mean(&self, from_s: f64, to_s: f64) -> Option<Vec<f64>> {
+        let after = |at_s: f64| self.at.partition_point(|at| at.as_secs_f64() <= at_s);
+        let range = after(from_s)..after(to_s);
+        if range.is_empty() || range.end == self.at.len() {
+            return None;
+        }
+        let share = 1.0 / (STEPS_PER_NAT * range.len() as f64);
+        let mut sums = vec![0_u64; self.width];
+        for row in self.rows(range) {
+            sums.iter_mut()
+                .zip(row)
+                .for_each(|(sum, &level)| *sum += u64::from(level));
+        }
+        Some(sums.into_iter().map(|sum| share * sum as f64).collect())
     }
 
     /// Consecutive windows, each with the frames within `window_s` of its first frame.

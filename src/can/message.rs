@@ -15,7 +15,7 @@ use super::generated::{
     GapStatusCause as CauseCode, GapStatusReason as ReasonCode, GapStatusState as StateCode,
 };
 use crate::monitor::alarm::{AlarmState, Reason};
-use crate::monitor::cause::Cause;
+use crate::reference::cause::Cause;
 
 /// Version of `gapwatch.dbc`: that of the frames that are written and read here.
 pub const DBC_VERSION: u8 = 2;

@@ -177,6 +177,11 @@ pub struct CalibrateArgs {
     /// under every condition
     #[arg(long, value_name = "scene:…", num_args = 1..)]
     pub labelled: Vec<String>,
+    /// Drives from which it learns what the cause of a gap or a change is: a source without a condition stands for itself
+    /// under every kind of condition that can be rendered over it, at severities 3 to 5 from 28 s on; a source with one
+    /// condition=KIND:SEVERITY@FROM-TO is used as it is
+    #[arg(long, value_name = "SOURCE", num_args = 1..)]
+    pub causes: Vec<String>,
     /// Wanted rate of false alarms: entries into Gap for each hour of nominal driving
     #[arg(long, value_name = "R", default_value_t = 1.0, value_parser = rate)]
     pub false_alarms_per_hour: f64,

@@ -4,13 +4,15 @@ use std::io::Write;
 use std::path::Path;
 
 use anyhow::{Context, bail};
-use gapwatch::calibration::Target;
 use gapwatch::calibration::shard::Shard;
 use gapwatch::calibration::survey::store::SurveyStore;
+use gapwatch::calibration::{Target, with_conditions};
 use gapwatch::capture::drives;
 use gapwatch::reference::gap::Metric;
 use gapwatch::reference::gap::moments::SPANS_OWN;
-use gapwatch::reference::{EvidenceKind, JudgedRate, NominalDrives, Reference, Role, Span};
+use gapwatch::reference::{
+    Causes, Discriminant, EvidenceKind, JudgedRate, NominalDrives, Reference, Role, Span,
+};
 use gapwatch::statistics::event_rate::{Hours, Loudness, ThreeDigits};
 
 use super::calibration_plan::CalibrationPlan;
@@ -33,8 +35,12 @@ pub fn run(args: &CalibrateArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
             sources.extend(drives(name)?.into_iter().map(|drive| (role, drive)));
         }
     }
+    for name in args.causes.iter().flat_map(|name| with_conditions(name)) {
+        let drives = drives(&name)?.into_iter();
+        sources.extend(drives.map(|drive| (Role::Cause, drive)));
+    }
     if sources.is_empty() {
-        bail!("no drive; wanted --sim, --accept, --held-out or --labelled");
+        bail!("no drive; wanted --sim, --accept, --held-out, --labelled or --causes");
     }
     let wanted = Target {
         metric: args.metric,
@@ -114,6 +120,9 @@ pub fn describe(reference: &Reference, file: &Path, out: &mut dyn Write) -> anyh
     if reference.metric == Metric::Mahalanobis && reference.evidence == EvidenceKind::Windows {
         describe_spans(reference, out)?;
     }
+    if let Some(causes) = &reference.causes {
+        describe_causes(causes, out)?;
+    }
     let said = |on: &NominalDrives| {
         let counted = format!(
             "{} entries in {} of {} drives",
@@ -151,6 +160,23 @@ pub fn describe(reference: &Reference, file: &Path, out: &mut dyn Write) -> anyh
         }
         Loudness::NotLouder => {}
     }
+    Ok(())
+}
+
+/// Writes how well causes are told.
+fn describe_causes(causes: &Causes, out: &mut dyn Write) -> anyhow::Result<()> {
+    // Counts of deviations are small.
+    #[allow(clippy::cast_precision_loss)]
+    let right = |of: &Discriminant| 100.0 * of.right as f64 / of.judged.max(1) as f64;
+    writeln!(
+        out,
+        "  cause: {} kinds from {} drives; of the half that made no centres, {:.1} % of changes and {:.1} % of gaps are told \
+         right",
+        causes.kinds.len(),
+        causes.kinds.iter().map(|kind| kind.drives).sum::<usize>(),
+        right(&causes.change),
+        right(&causes.gap),
+    )?;
     Ok(())
 }
 

@@ -5,13 +5,14 @@ mod labelled;
 use std::borrow::Cow;
 use std::collections::HashSet;
 
-use anyhow::{Context, bail};
+use anyhow::{Context, anyhow, bail};
 use gapwatch::calibration::drive::StoreError;
 use gapwatch::calibration::shard::ShardSource;
 use gapwatch::calibration::survey::store::{Content, Stored, SurveyKind, SurveyStore};
 use gapwatch::calibration::survey::{Keep, Survey};
 use gapwatch::calibration::{
-    Calibrated, Domain, LabelledDrive, LabelledMeans, SurveyedDrive, Target, calibrate, looks,
+    Calibrated, Domain, LabelledDrive, LabelledMeans, SurveyedDrive, Target, calibrate, cause_of,
+    learn_causes, looks,
 };
 use gapwatch::capture::{open, ranges, sort_drives, stamp, template};
 use gapwatch::model::encoder::Encoder;
@@ -39,11 +40,13 @@ pub struct CalibrationPlan {
     accepted: Vec<Vec<String>>,
     held_out: Vec<String>,
     labelled: Vec<String>,
+    causes: Vec<String>,
 }
 
 /// What has been found of a plan's drives.
 pub struct Found {
-    /// Surveys of the simulation, of each accepted domain and of the held-out drives, in this order.
+    /// Surveys of the simulation, of each accepted domain, of the held-out drives and of those with a known cause, in
+    /// this order.
     drives: Vec<Option<Stored<Survey>>>,
     labelled: Vec<Option<Stored<Vec<LabelledMeans>>>>,
 }
@@ -72,10 +75,11 @@ impl CalibrationPlan {
                 .collect(),
             held_out: of_role(Role::HeldOut),
             labelled: of_role(Role::Labelled),
+            causes: of_role(Role::Cause),
         };
         let mut seen = HashSet::new();
-        let nominal = plan.nominal();
-        if let Some(twice) = nominal.iter().find(|&source| !seen.insert(source)) {
+        let surveyed = plan.surveyed();
+        if let Some(twice) = surveyed.iter().find(|&source| !seen.insert(source)) {
             bail!(
                 "source {twice} is given twice; held-out drives must be different from fitted drives"
             );
@@ -103,6 +107,14 @@ impl CalibrationPlan {
         for name in &plan.labelled {
             labelled::frame_count(name)?;
         }
+        if !plan.causes.is_empty() && !wanted.is_timed() {
+            bail!(
+                "--causes is for changes of energies; wanted --metric mahalanobis and --evidence windows"
+            );
+        }
+        for name in &plan.causes {
+            cause_of(name).map_err(|why| anyhow!("--causes {why}"))?;
+        }
         Ok(plan)
     }
 
@@ -118,8 +130,9 @@ impl CalibrationPlan {
     }
 
     /// All drives but the labelled ones.
-    fn nominal(&self) -> Vec<String> {
-        [&self.simulation, &self.accepted.concat(), &self.held_out]
+    fn surveyed(&self) -> Vec<String> {
+        let accepted = self.accepted.concat();
+        [&self.simulation, &accepted, &self.held_out, &self.causes]
             .into_iter()
             .flatten()
             .cloned()
@@ -136,8 +149,8 @@ impl CalibrationPlan {
     /// What a store has of the drives. If `now` is the model in use, only surveys that would be the same if they were
     /// made now.
     pub fn find(&self, store: &SurveyStore, now: Option<&ModelSpec>) -> anyhow::Result<Found> {
-        let nominal = self.nominal();
-        let drives = nominal.par_iter().map(|name| {
+        let surveyed = self.surveyed();
+        let drives = surveyed.par_iter().map(|name| {
             let stamp = now.map(|_| stamp(name)).transpose()?;
             let find = |kept| found(store, name, kept, stamp.as_deref());
             match (find(self.keep().into())?, self.keep()) {
@@ -167,8 +180,8 @@ impl CalibrationPlan {
     ) -> anyhow::Result<()> {
         self.look_at_labelled(found, &model.spec, store)?;
         let keep = self.keep();
-        let nominal = self.nominal();
-        let missing: Vec<_> = nominal
+        let surveyed = self.surveyed();
+        let missing: Vec<_> = surveyed
             .iter()
             .zip(&mut found.drives)
             .filter(|(_, there)| there.is_none())
@@ -238,11 +251,12 @@ impl CalibrationPlan {
     /// The drives with their roles and frames.
     pub fn sources(&self, found: &Found) -> anyhow::Result<Vec<ShardSource>> {
         let of = |names: Vec<String>, role: Role| names.into_iter().map(move |name| (name, role));
-        let nominal = of(self.simulation.clone(), Role::Simulation)
+        let surveyed = of(self.simulation.clone(), Role::Simulation)
             .chain(of(self.accepted.concat(), Role::Accepted))
-            .chain(of(self.held_out.clone(), Role::HeldOut));
+            .chain(of(self.held_out.clone(), Role::HeldOut))
+            .chain(of(self.causes.clone(), Role::Cause));
         let mut sources = Vec::new();
-        for ((source, role), drive) in nominal.zip(&found.drives) {
+        for ((source, role), drive) in surveyed.zip(&found.drives) {
             let frames = drive.as_ref().map_or(0, SurveyedDrive::frames) as u64;
             sources.push(ShardSource {
                 source,
@@ -280,13 +294,27 @@ impl CalibrationPlan {
             });
             rest = others;
         }
-        bar.set_length(looks(&domains, rest, &labelled, self.wanted));
+        let (held_out, causes) = rest.split_at(self.held_out.len());
+        let mut length = looks(&domains, held_out, &labelled, self.wanted);
+        if !causes.is_empty() {
+            length += (simulation.len() + causes.len()) as u64;
+        }
+        bar.set_length(length);
         let Calibrated {
             components,
             false_alarms,
             mut sources,
             rate,
-        } = calibrate(&domains, rest, &labelled, &self.model.taps, self.wanted)?;
+        } = calibrate(&domains, held_out, &labelled, &self.model.taps, self.wanted)?;
+        let learnt = match causes {
+            [] => None,
+            drives => Some(learn_causes(
+                drives,
+                simulation,
+                &components[0],
+                self.wanted,
+            )?),
+        };
         bar.finish_and_clear();
         for name in &self.labelled {
             let frames = labelled::frame_count(name)?;
@@ -298,6 +326,10 @@ impl CalibrationPlan {
                 held_out: 0,
             });
         }
+        let causes = learnt.map(|learnt| {
+            sources.extend(learnt.sources);
+            learnt.causes
+        });
         let provenance = Provenance {
             gapwatch: env!("CARGO_PKG_VERSION").to_owned(),
             command: self.command()?,
@@ -311,7 +343,8 @@ impl CalibrationPlan {
             false_alarms,
             provenance,
             components,
-        ))
+        )
+        .with_causes(causes))
     }
 
     /// A command that makes the reference again. It does not depend on what was typed, so it has no names of files on
@@ -328,6 +361,7 @@ impl CalibrationPlan {
         add("--accept", &ranges(&self.accepted.concat()));
         add("--held-out", &ranges(&self.held_out));
         add("--labelled", &ranges(&self.labelled));
+        add("--causes", &ranges(&self.causes));
         let Target {
             metric,
             window_s,

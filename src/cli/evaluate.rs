@@ -2,6 +2,7 @@
 //!
 //! Each key has a file below: `rows` makes its results, `ABOUT` says what they mean, and `sheets` shows them.
 
+mod cause;
 mod command;
 mod domain_detection;
 mod false_alarms;
@@ -74,11 +75,25 @@ pub fn run(args: &EvaluateArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
     } else {
         Vec::new()
     };
-    let watched = if wanted(EvaluateKey::DomainDetection) || wanted(EvaluateKey::FalseAlarms) {
+    let of_watched = [
+        EvaluateKey::DomainDetection,
+        EvaluateKey::FalseAlarms,
+        EvaluateKey::Cause,
+    ];
+    let watched = if of_watched.into_iter().any(wanted) {
         Some(Watched::open(args)?)
     } else {
         None
     };
+    if let Some(watched) = watched.as_ref().filter(|_| wanted(EvaluateKey::Cause)) {
+        let knows = watched.reference.causes.is_some();
+        if args.only == Some(EvaluateKey::Cause) && !knows {
+            bail!("the reference knows no causes; wanted one made with calibrate --causes");
+        }
+        if !knows {
+            log::warn!("cause is left out, because the reference knows no causes");
+        }
+    }
     if args.only == Some(EvaluateKey::FieldSets) && args.field.is_none() {
         bail!("field_sets needs the image sets of other roads; wanted --field DIR");
     }
@@ -119,6 +134,10 @@ pub fn run(args: &EvaluateArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
             }
             (EvaluateKey::FalseAlarms, Some(watched), _) => {
                 let rows = false_alarms::rows(watched, args)?;
+                results.set(key, &rows, &command::made(key, args))?;
+            }
+            (EvaluateKey::Cause, Some(watched), _) if watched.reference.causes.is_some() => {
+                let rows = cause::rows(watched, args)?;
                 results.set(key, &rows, &command::made(key, args))?;
             }
             (EvaluateKey::LaneFailure, ..) => {
@@ -170,6 +189,7 @@ fn page(results: &Results, key: EvaluateKey) -> anyhow::Result<Option<Page>> {
         EvaluateKey::FalseAlarms => {
             page_of(results, key, false_alarms::ABOUT, false_alarms::sheets)
         }
+        EvaluateKey::Cause => page_of(results, key, cause::ABOUT, cause::sheets),
         EvaluateKey::LaneFailure => {
             page_of(results, key, lane_failure::ABOUT, lane_failure::sheets)
         }

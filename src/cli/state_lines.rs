@@ -3,9 +3,9 @@
 use std::io::Write;
 
 use gapwatch::monitor::alarm::AlarmState;
-use gapwatch::monitor::cause::LikelyCause;
 use gapwatch::monitor::judge::Verdict;
 use gapwatch::record::events::EventCounts;
+use gapwatch::reference::cause::LikelyCause;
 
 /// One readable line about a change of state.
 pub fn state_line(verdict: &Verdict) -> String {
@@ -58,7 +58,7 @@ mod tests {
 
     use gapwatch::capture::undefined::Undefined;
     use gapwatch::monitor::alarm::Reason;
-    use gapwatch::monitor::cause::Cause;
+    use gapwatch::reference::cause::Cause;
 
     use super::*;
 

@@ -1,10 +1,12 @@
-//! How good the monitor is on drives that were not used for tuning (`domain_detection`, `false_alarms`, `lane_failure`)
+//! How good the monitor is on drives that were not used for tuning (`domain_detection`, `false_alarms`, `cause`,
+//! `lane_failure`)
 //! and on image sets of other roads (`field_sets`, `paper_table`). This file measures how good a lane model is, and
 //! where it looks, on scenes that were not used for training, with all looks of the world and with conditions of
 //! increasing severity.
 //!
 //! Intervals are percentiles over resampled scenes, because the pixels of one scene depend on each other.
 
+pub mod cause;
 pub mod domain_detection;
 pub mod false_alarms;
 pub mod field_sets;

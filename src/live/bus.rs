@@ -211,7 +211,7 @@ pub(super) mod tests {
     use crate::can::speed::SpeedSignal;
     use crate::can::{BusState, CanFrame};
     use crate::monitor::alarm::{AlarmState, Reason};
-    use crate::monitor::cause::{Cause, LikelyCause};
+    use crate::reference::cause::{Cause, LikelyCause};
 
     pub const SPEED_ID: u16 = 0x1A0;
 

@@ -113,6 +113,7 @@ mod tests {
                 drift: 0.0,
                 frames: 10,
                 fill: 1.0,
+                cause: None,
             }),
         }
     }

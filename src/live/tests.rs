@@ -298,6 +298,7 @@ impl World {
                     drift,
                     frames: 10,
                     fill,
+                    cause: None,
                 })
             },
         }

@@ -11,8 +11,10 @@ use crate::monitor::alarm::Judgement;
 use crate::monitor::cusum::Cusum;
 use crate::monitor::profile::{TapProfile, spreads_of};
 use crate::monitor::span_watch::{SpanScore, SpanWatch};
+use crate::reference::cause::LikelyCause;
 use crate::reference::gap::Metric;
-use crate::reference::{Component, Reference, Span};
+use crate::reference::gap::moments::STEPS_PER_NAT;
+use crate::reference::{Causes, Component, Explained, Reference, Span};
 
 /// Largest number of frames in a window. At higher frame rates the window is shorter than the wanted time.
 pub const WINDOW_FRAMES_MAX: usize = 32;
@@ -53,6 +55,8 @@ pub struct Evidence {
     pub frames: usize,
     /// Share of the window's length that was seen without an interruption, 0 to 1.
     pub fill: f64,
+    /// What most likely causes it; only if there is something to explain, and if causes are known.
+    pub cause: Option<LikelyCause>,
 }
 
 impl Evidence {
@@ -105,6 +109,9 @@ pub struct Detector {
     began: Option<Duration>,
     /// The domain that was nearest last.
     nearest: Option<usize>,
+    causes: Option<Causes>,
+    /// `[energies of all taps]`, what is to be explained.
+    deviation: Vec<f64>,
 }
 
 impl Detector {
@@ -115,11 +122,13 @@ impl Detector {
             reference.components.clone(),
             reference.window_s,
         )
+        .with_causes(reference.causes.clone())
     }
 
     /// A detector that compares with some nominal domains.
     pub fn of(metric: Metric, components: Vec<Component>, window_s: f64) -> Self {
         let bins = Component::taken_len(&components);
+        let of_one = components.first().map(std::slice::from_ref);
         Self {
             metric,
             spreads: components
@@ -127,6 +136,8 @@ impl Detector {
                 .map(|component| component.taps.iter().map(spreads_of).collect())
                 .collect(),
             watch: SpanWatch::new(&components, Duration::ZERO),
+            causes: None,
+            deviation: vec![0.0; Component::taken_len(of_one.unwrap_or_default())],
             components,
             cusum: Cusum::default(),
             period: Duration::ZERO,
@@ -148,6 +159,11 @@ impl Detector {
             period,
             ..self
         }
+    }
+
+    /// Tells the cause of evidence.
+    pub fn with_causes(self, causes: Option<Causes>) -> Self {
+        Self { causes, ..self }
     }
 
     /// How many numbers are taken from a frame: for each nominal domain, tap after tap.
@@ -193,7 +209,50 @@ impl Detector {
             evidence.drift = self.cusum.add(now, evidence.gap);
         }
         self.nearest = Some(evidence.component);
+        if self.causes.is_some() && evidence.score() >= 1.0 {
+            evidence.cause = self.cause(&evidence);
+        }
         Ok(evidence)
+    }
+
+    /// The cause of a change if there is one, else that of the gap.
+    fn cause(&mut self, evidence: &Evidence) -> Option<LikelyCause> {
+        let changed = evidence.change.is_some_and(|change| change >= 1.0);
+        let of_change = changed
+            && self
+                .deviation(Explained::Change, evidence.component)
+                .is_some();
+        let explained = if of_change {
+            Explained::Change
+        } else {
+            self.deviation(Explained::Gap, evidence.component)?;
+            Explained::Gap
+        };
+        let causes = self.causes.as_ref()?;
+        Some(causes.likely(explained, &self.deviation))
+    }
+
+    /// How the present deviates from its past or from a nominal domain, see [`Explained::deviation`]; `None` while the
+    /// past is unknown, or if the domain has no norm for it. Allocates nothing.
+    pub fn deviation(&mut self, explained: Explained, domain: usize) -> Option<&[f64]> {
+        let (before, rest) = self.components.split_at_checked(domain)?;
+        let taps = &rest.first()?.taps;
+        match explained {
+            Explained::Change => {
+                let apart = self.watch.levels(Explained::span())?;
+                explained.deviation(taps, |place| apart[place], &mut self.deviation)?;
+            }
+            Explained::Gap => {
+                let sums = &self.sums[Component::taken_len(before)..];
+                // A window has few frames.
+                #[allow(clippy::cast_precision_loss)]
+                let level = |place: usize| {
+                    sums[place] as f64 / (STEPS_PER_NAT * self.times.len().max(1) as f64)
+                };
+                explained.deviation(taps, level, &mut self.deviation)?;
+            }
+        }
+        Some(&self.deviation)
     }
 
     /// The present evidence. Every part counts for the nominal domain that is nearest to it.
@@ -231,6 +290,7 @@ impl Detector {
                     drift: 0.0,
                     frames: self.times.len(),
                     fill,
+                    cause: None,
                 });
             }
         }
@@ -340,6 +400,7 @@ mod tests {
             drift,
             frames: 1,
             fill,
+            cause: None,
         };
         let score = |score, settled| Judgement::Score { score, settled };
         for (found, wanted) in [

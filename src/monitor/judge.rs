@@ -7,8 +7,8 @@ use crate::capture::undefined::Undefined;
 use crate::features::image_quality::ImageQuality;
 use crate::model::TAPS_MAX;
 use crate::monitor::alarm::{Alarm, AlarmState, Judgement, Reason};
-use crate::monitor::cause::LikelyCause;
 use crate::monitor::detector::{BlockScore, Evidence};
+use crate::reference::cause::LikelyCause;
 
 /// What a frame adds to what was seen before.
 #[derive(Clone, Debug, PartialEq)]
@@ -42,7 +42,7 @@ pub struct Verdict {
     pub change: Option<f64>,
     /// Forecast of the share of lanes that the model loses, 0..1; `None` when there is no forecast.
     pub lanes: Option<f64>,
-    /// What most likely causes the evidence; `None` when nothing is known of it.
+    /// What most likely causes the evidence, in `Suspect` and `Gap`; `None` when nothing is known of it.
     pub cause: Option<LikelyCause>,
     /// One entry for each tap; empty if the frame cannot be judged.
     pub blocks: heapless::Vec<BlockScore, TAPS_MAX>,
@@ -99,6 +99,8 @@ impl Verdict {
 #[derive(Clone, Debug, Default)]
 pub struct Judge {
     alarm: Alarm,
+    /// What was told last in `Suspect` or `Gap`.
+    cause: Option<LikelyCause>,
 }
 
 impl Judge {
@@ -106,6 +108,7 @@ impl Judge {
     pub fn with_frames_every(period: Duration) -> Self {
         Self {
             alarm: Alarm::with_frames_every(period),
+            cause: None,
         }
     }
 
@@ -116,6 +119,8 @@ impl Judge {
             Err(why) => Judgement::Cannot(Reason::from(why)),
         };
         self.alarm.step(seen.at, judgement);
+        let told = seen.evidence.as_ref().ok().and_then(|of| of.cause);
+        self.keep_cause(told);
         let (evidence, undefined) = match seen.evidence {
             Ok(evidence) => (Some(evidence), None),
             Err(why) => (None, Some(why)),
@@ -149,6 +154,7 @@ impl Judge {
             .stale_at()
             .filter(|&at| at < now && self.alarm.state() != AlarmState::Unavailable)?;
         self.alarm.step(at, Judgement::Cannot(Reason::Stale));
+        self.keep_cause(None);
         Some(Verdict {
             undefined: Some(Undefined::Silence),
             ..self.verdict(at)
@@ -158,6 +164,15 @@ impl Judge {
     /// No frame was judged until `now`: see [`Alarm::rest`].
     pub fn rest(&mut self, now: Duration) {
         self.alarm.rest(now);
+        self.keep_cause(None);
+    }
+
+    /// Keeps the cause that was told last while there is something to explain.
+    fn keep_cause(&mut self, told: Option<LikelyCause>) {
+        self.cause = match self.alarm.state() {
+            AlarmState::Suspect | AlarmState::Gap => told.or(self.cause),
+            _ => None,
+        };
     }
 
     /// Clears the stored bit, and returns whether it did. It is refused while there is a gap.
@@ -173,7 +188,85 @@ impl Judge {
             reason: self.alarm.reason(),
             fault_detection_counter: self.alarm.fault_detection_counter(),
             gap_stored: self.alarm.gap_stored(),
+            cause: self.cause,
             ..Verdict::nothing_yet()
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+    use crate::reference::cause::Cause;
+
+    /// A frame every 100 ms with a gap, and the cause that was told.
+    fn seen(number: u32, gap: f64, cause: Option<Cause>) -> Sighting {
+        let cause = cause.map(|cause| LikelyCause {
+            cause,
+            probability: 0.75,
+        });
+        Sighting {
+            at: 100 * number * Duration::from_millis(1),
+            sequence: number.into(),
+            quality: None,
+            evidence: Ok(Evidence {
+                gap,
+                change: None,
+                parts: heapless::Vec::new(),
+                holds: false,
+                blocks: heapless::Vec::new(),
+                component: 0,
+                drift: 0.0,
+                frames: 10,
+                fill: 1.0,
+                cause,
+            }),
+        }
+    }
+
+    #[test]
+    fn the_last_cause_is_kept_while_there_is_something_to_explain() {
+        let mut judge = Judge::default();
+        let cause = |verdict: &Verdict| verdict.cause.map(|likely| likely.cause);
+        for number in 0..20 {
+            assert_eq!(judge.judge(seen(number, 0.1, None)).cause, None);
+        }
+        let mut states = Vec::new();
+        for number in 20..60 {
+            let told = if number < 40 { Cause::Fog } else { Cause::Rain };
+            // Every third frame tells nothing.
+            let none = number % 3 == 1;
+            let verdict = judge.judge(seen(number, 3.0, (!none).then_some(told)));
+            states.push(verdict.state);
+            let last = if number == 40 { Cause::Fog } else { told };
+            assert_eq!(cause(&verdict), Some(last), "{number}");
+        }
+        assert!(states.contains(&AlarmState::Suspect) && states.contains(&AlarmState::Gap));
+        // The alarm fades: nothing new is told, and the cause stays until there is no alarm.
+        let mut verdict = judge.judge(seen(60, 0.1, None));
+        let mut number = 61;
+        while verdict.state != AlarmState::Ok {
+            assert_eq!(cause(&verdict), Some(Cause::Rain), "{number}");
+            verdict = judge.judge(seen(number, 0.1, None));
+            number += 1;
+        }
+        assert_eq!(verdict.cause, None);
+        // What was told before is not told of the next alarm.
+        assert_eq!(judge.judge(seen(number, 3.0, None)).cause, None);
+    }
+
+    #[test]
+    fn silence_has_no_cause() {
+        let mut judge = Judge::default();
+        for number in 0..60 {
+            judge.judge(seen(number, 3.0, Some(Cause::Dirt)));
+        }
+        let silence = judge.silence(Duration::from_secs(60)).unwrap();
+        assert_eq!(
+            (silence.state, silence.cause),
+            (AlarmState::Unavailable, None)
+        );
+        assert_eq!(judge.judge(seen(601, 3.0, None)).cause, None);
     }
 }

@@ -23,12 +23,16 @@ impl Scorer {
     /// For frames whose maps are compared at `common_size`.
     pub fn new(reference: &Reference, common_size: (usize, usize)) -> Self {
         let components = reference.components.clone();
-        Self::of(
+        let scorer = Self::of(
             reference.metric,
             components,
             reference.window_s,
             common_size,
-        )
+        );
+        Self {
+            detector: scorer.detector.with_causes(reference.causes.clone()),
+            ..scorer
+        }
     }
 
     /// Like [`new`](Self::new), from the relevant parts of a reference.

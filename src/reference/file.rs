@@ -14,6 +14,7 @@ use crate::files::whole_file::{WholeFile, read_whole};
 use crate::model::ModelSpec;
 use crate::model::encoder::Encoder;
 use crate::model::preprocess::{Preprocessing, RESIZE_KERNEL};
+use crate::reference::causes::Causes;
 use crate::reference::gap::Metric;
 use crate::reference::nominal::TapReference;
 use crate::reference::rate::JudgedRate;
@@ -61,6 +62,9 @@ pub struct Reference {
     /// The domains that are nominal: the simulation first, then what was accepted. The gap is the smallest one over
     /// these domains.
     pub components: Vec<Component>,
+    /// What changes and gaps look like under known causes; left out if none were learnt.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub causes: Option<Causes>,
 }
 
 /// One nominal domain.
@@ -176,6 +180,8 @@ pub enum Role {
     HeldOut,
     /// It is learnt from this source what the lane model loses.
     Labelled,
+    /// It is learnt from this source what a cause looks like.
+    Cause,
 }
 
 /// A reference that cannot be used.
@@ -311,7 +317,14 @@ impl Reference {
             false_alarms,
             provenance,
             components,
+            causes: None,
         }
+    }
+
+    /// The same with what is known of causes.
+    #[must_use]
+    pub fn with_causes(self, causes: Option<Causes>) -> Self {
+        Self { causes, ..self }
     }
 
     /// Reads a file, or the reference inside the program, and checks that it is whole.
@@ -381,6 +394,10 @@ impl Reference {
         }
         if let Some(fault) = self.false_alarms.fault() {
             return Some(fault);
+        }
+        let of_causes = self.causes.as_ref().zip(self.components.first());
+        if let Some(fault) = of_causes.and_then(|(of, first)| of.fault(&first.taps)) {
+            return Some(format!("causes: {fault}"));
         }
         let spans = self.components.first().map_or(0, Component::spans);
         self.components.iter().find_map(|component| {

@@ -11,7 +11,7 @@ use gapwatch::model::encoder::Executor;
 use gapwatch::reference::gap::Metric;
 
 use super::model::ModelArgs;
-use super::values::{SOURCES, TableFormat, whole};
+use super::values::{SOURCES, TableFormat, rate, whole};
 
 /// Compare image sets with the first one
 #[derive(Debug, Args)]
@@ -91,8 +91,8 @@ pub struct InspectArgs {
 /// lane_iou: lane IoU of every model in every look of the world, on plain days and under every condition with
 /// severities 1 to 5, and how much of the encoder's energy is on lanes. Each model gets scenes of its own input size.
 /// domain_detection: how many drives enter Gap within 2 s of an event, at 1 and 0.1 false alarms an hour. false_alarms:
-/// entries into Gap on nominal drives, at thresholds made for 10, 1 and 0.1 false alarms an hour. These two judge one
-/// reference. field_sets: AUROC, and recall at 5 % false positives, of every metric on windows of 1, 5 and 10 images of
+/// entries into Gap on nominal drives, at thresholds made for 10, 1 and 0.1 false alarms an hour. cause: which cause is told
+/// of each kind of condition. These three judge one reference. field_sets: AUROC, and recall at 5 % false positives, of every metric on windows of 1, 5 and 10 images of
 /// other roads and simulators. paper_table: similarity of whole image sets, as in the paper. With --out, the result of
 /// each key is kept as soon as it is done.
 #[derive(Debug, Args)]
@@ -175,6 +175,9 @@ pub enum EvaluateKey {
     /// Entries into Gap on nominal drives
     #[value(name = "false_alarms")]
     FalseAlarms,
+    /// Which cause the monitor tells of an event whose cause is known
+    #[value(name = "cause")]
+    Cause,
     /// Whether the gap predicts that the lane model fails, by metric and baseline
     #[value(name = "lane_failure")]
     LaneFailure,

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use gapwatch::lab::evaluation::{SCENE_SET, domain_detection, false_alarms};
+use gapwatch::lab::evaluation::{SCENE_SET, cause, domain_detection, false_alarms};
 use gapwatch::lab::scene::Look;
 
 use super::results::Made;
@@ -20,6 +20,7 @@ pub fn made(key: EvaluateKey, args: &EvaluateArgs) -> Made {
             format!("drives {} and on", domain_detection::FIRST_SEED)
         }
         EvaluateKey::FalseAlarms => format!("drives {} and on", false_alarms::FIRST_SEED),
+        EvaluateKey::Cause => format!("drives {} and on", cause::FIRST_SEED),
         EvaluateKey::LaneFailure => lane_failure::seeds(args.quick),
         EvaluateKey::SpeedError => speed_error::seeds(args.quick),
         EvaluateKey::FieldSets => field_sets::seeds(args.quick),
@@ -44,13 +45,16 @@ fn command(key: EvaluateKey, args: &EvaluateArgs) -> String {
     let number = |name: &str, value: Option<u32>| value.map(|value| format!("--{name} {value}"));
     words.extend(match key {
         EvaluateKey::LaneIou => number("scenes", args.scenes),
-        EvaluateKey::DomainDetection => number("drives", args.drives),
+        EvaluateKey::DomainDetection | EvaluateKey::Cause => number("drives", args.drives),
         EvaluateKey::FalseAlarms => number("hours", args.hours),
         EvaluateKey::LaneFailure | EvaluateKey::SpeedError => None,
         EvaluateKey::FieldSets => Some(FIELD.to_owned()),
         EvaluateKey::PaperTable => args.field.as_ref().map(|_| FIELD.to_owned()),
     });
-    if matches!(key, EvaluateKey::DomainDetection | EvaluateKey::FalseAlarms) {
+    if matches!(
+        key,
+        EvaluateKey::DomainDetection | EvaluateKey::FalseAlarms | EvaluateKey::Cause
+    ) {
         if let Some(path) = &args.reference {
             words.push(format!("--reference {}", portable(path)));
         }

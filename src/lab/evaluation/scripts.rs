@@ -11,6 +11,7 @@ use crate::capture::{Frame, Picture};
 use crate::lab::scene::{Condition, Drive, Look, Renderer, World};
 use crate::model::encoder::{Encoder, EncoderError};
 use crate::monitor::alarm::{Judgement, Reason};
+use crate::monitor::judge::{Judge, Sighting, Verdict};
 use crate::monitor::pipeline::Sight;
 use crate::monitor::rate::Looks;
 use crate::reference::Reference;
@@ -67,12 +68,49 @@ pub fn scores_of(
         .collect()
 }
 
+/// Verdicts of every script; `seen` is called after each.
+///
+/// # Errors
+/// When the encoder cannot be run at all.
+pub fn verdicts_of(
+    scripts: &[Script],
+    encoder: &Encoder,
+    reference: &Reference,
+    seen: &(dyn Fn() + Sync),
+) -> Result<Vec<Vec<Verdict>>, EncoderError> {
+    scripts
+        .par_iter()
+        .map(|script| {
+            let (mut judge, mut verdicts) = (Judge::default(), Vec::new());
+            script.watch(encoder, reference, |sighting| {
+                verdicts.push(judge.judge(sighting));
+            })?;
+            seen();
+            Ok(verdicts)
+        })
+        .collect()
+}
+
 impl Script {
     fn scores(
         &self,
         encoder: &Encoder,
         reference: &Reference,
     ) -> Result<DriveScores, EncoderError> {
+        let mut scores = DriveScores::default();
+        self.watch(encoder, reference, |seen| {
+            scores.add_evidence(seen.at, &seen.evidence);
+        })?;
+        Ok(scores)
+    }
+
+    /// Passes every frame through the part of the monitor that works on pictures.
+    fn watch(
+        &self,
+        encoder: &Encoder,
+        reference: &Reference,
+        mut each: impl FnMut(Sighting),
+    ) -> Result<(), EncoderError> {
         let mut sight = Sight::new(encoder, reference)?;
         let of = &reference.model.preprocessing;
         let mut renderer = Renderer::new(of.width, of.height);
@@ -96,7 +134,6 @@ impl Script {
                 Shown::Noise { seed } => (*from_s, None, *seed),
             })
             .collect();
-        let mut scores = DriveScores::default();
         let mut looks = Looks::new(reference.rate.at_most(self.fps));
         // Lengths and rates of evaluations are small numbers.
         #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)]
@@ -124,14 +161,14 @@ impl Script {
                     rgb,
                 })),
             });
-            scores.add_evidence(seen.at, &seen.evidence);
             let (judgement, score) = match &seen.evidence {
                 Ok(of) => (of.judgement(), Some(of.score())),
                 Err(why) => (Judgement::Cannot(Reason::from(why)), None),
             };
             looks.judged(seen.at, judgement, score);
+            each(seen);
         }
-        Ok(scores)
+        Ok(())
     }
 }
 

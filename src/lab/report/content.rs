@@ -5,10 +5,10 @@ use std::path::Path;
 
 use crate::capture::clock::ClockTime;
 use crate::monitor::alarm::{AlarmState, Reason};
-use crate::monitor::cause::{Cause, LikelyCause};
 use crate::monitor::profile::TapProfile;
 use crate::record::events::{self, Moment};
 use crate::record::journal::{About, Entry, Reading};
+use crate::reference::cause::{Cause, LikelyCause};
 
 /// Times that differ less are the same: the journal writes every digit.
 const SAME_TIME_S: f64 = 1e-6;

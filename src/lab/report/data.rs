@@ -5,8 +5,8 @@ use serde::Serialize;
 use super::alarms::ALARMS_MAX;
 use super::content::Report;
 use super::states::{self, STATES};
-use crate::monitor::cause::Cause;
 use crate::record::journal::Entry;
+use crate::reference::cause::Cause;
 
 /// Most lines that are drawn; of longer journals, per stretch the lines with the smallest and the largest score and all
 /// changes of state.

@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
-use crate::monitor::cause::Cause;
 use crate::monitor::profile::TapProfile;
+use crate::reference::cause::Cause;
 
 /// The file of an event that describes its other files.
 pub const EVENT_FILE: &str = "event.json";

@@ -12,7 +12,7 @@ use serde_json::{Map, Value};
 use super::about::{About, VERSION};
 use crate::capture::clock::ClockTime;
 use crate::monitor::alarm::AlarmState;
-use crate::monitor::cause::{Cause, LikelyCause};
+use crate::reference::cause::{Cause, LikelyCause};
 
 /// Longest line that is read: a thousand times a usual one.
 const LINE_MAX: u64 = 1 << 20;

@@ -24,8 +24,8 @@ use super::line::Line;
 use super::writing::JournalError;
 use crate::capture::{Frame, jpeg};
 use crate::files::whole_file::WholeFile;
-use crate::monitor::cause::Cause;
 use crate::monitor::judge::Verdict;
+use crate::reference::cause::Cause;
 
 /// The journal's line as a schema; the taps are added to its objects, and the causes to its list.
 const VERDICT_SCHEMA: &str = include_str!("verdict.schema.json");

@@ -110,6 +110,12 @@ impl Moments {
         self.add(levels);
     }
 
+    /// Mean of differences that were added with [`add_differences`](Self::add_differences), nats.
+    pub fn mean_difference(&self) -> Vec<f64> {
+        let off = f64::from(NO_DIFFERENCE) / STEPS_PER_NAT;
+        self.mean().into_iter().map(|mean| mean - off).collect()
+    }
+
     /// Adds the frames of another set. If there are no frames yet, the number of energies is taken from the other set.
     pub fn merge(&mut self, other: &Self) {
         if self.frames == 0 {
@@ -145,8 +151,7 @@ impl Moments {
 
     /// Mean square of differences that were added with [`add_differences`](Self::add_differences), nats squared.
     fn second_moment(&self) -> DMatrix<f64> {
-        let off = f64::from(NO_DIFFERENCE) / STEPS_PER_NAT;
-        let mean = DVector::from_vec(self.mean()).add_scalar(-off);
+        let mean = DVector::from_vec(self.mean_difference());
         self.covariance() + &mean * mean.transpose()
     }
 
@@ -233,29 +238,10 @@ impl EnergyNorm {
         mean: Vec<f64>,
         covariance: &DMatrix<f64>,
     ) -> Result<Self, Undefined> {
-        let len = mean.len();
-        let spreads: Vec<f64> = (0..len)
-            .map(|i| (covariance[(i, i)] + SPREAD_FLOOR * SPREAD_FLOOR).sqrt())
-            .collect();
-        let shrunk = DMatrix::from_fn(len, len, |i, j| {
-            let correlation = covariance[(i, j)] / (spreads[i] * spreads[j]);
-            (1.0 - SHRINKAGE) * correlation + if i == j { SHRINKAGE } else { 0.0 }
-        });
-        // The matrix is positive definite: it is a correlation matrix plus a multiple of the identity.
-        let lower = Cholesky::new(shrunk).ok_or(Undefined::NoScore)?.l();
-        let mut whitening = DMatrix::identity(len, len);
-        if !lower.solve_lower_triangular_mut(&mut whitening) {
-            return Err(Undefined::NoScore);
-        }
-        #[allow(clippy::cast_possible_truncation)]
-        let whitening = (0..len)
-            .flat_map(|row| (0..=row).map(move |column| (row, column)))
-            .map(|(row, column)| (whitening[(row, column)] / spreads[column]) as f32)
-            .collect();
         Ok(Self {
             epsilon,
             mean,
-            whitening,
+            whitening: whitening_of(covariance, SHRINKAGE)?,
         })
     }
 
@@ -282,18 +268,18 @@ impl EnergyNorm {
 
     #[inline(always)]
     fn whitened(&self, deviation: impl Fn(usize) -> f64) -> f64 {
-        let mut whitening = self.whitening.as_slice();
         let mut total = 0.0;
-        for row in 0..self.mean.len() {
-            let (weights, rest) = whitening.split_at(row + 1);
-            whitening = rest;
-            let parts = weights.iter().enumerate();
-            let across: f64 = parts
-                .map(|(column, &weight)| f64::from(weight) * deviation(column))
-                .sum();
+        each_whitened(&self.whitening, self.mean.len(), deviation, |_, across| {
             total += across * across;
-        }
+        });
         total / self.mean.len().max(1) as f64
+    }
+
+    /// Calls `each` with the place and the value of every whitened deviation from the mean, of a vector of mean levels
+    /// or of differences of levels, nats. Allocates nothing.
+    pub fn whiten(&self, level: impl Fn(usize) -> f64, each: impl FnMut(usize, f64)) {
+        let deviation = |column: usize| level(column) - self.mean[column];
+        each_whitened(&self.whitening, self.mean.len(), deviation, each);
     }
 
     /// Nominal spread of each energy, nats: `[energies]`, the square roots of the diagonal of the covariance that distances
@@ -326,6 +312,66 @@ impl EnergyNorm {
         (!(self.epsilon.is_normal() && self.epsilon > 0.0))
             .then(|| format!("an epsilon of {}, wanted one above 0", self.epsilon))
     }
+}
+
+/// Multiplies a lower triangle, row by row, with a vector of `len` numbers. Allocates nothing.
+#[inline(always)]
+pub(crate) fn each_whitened(
+    mut whitening: &[f32],
+    len: usize,
+    deviation: impl Fn(usize) -> f64,
+    mut each: impl FnMut(usize, f64),
+) {
+    for row in 0..len {
+        let (weights, rest) = whitening.split_at(row + 1);
+        whitening = rest;
+        let parts = weights.iter().enumerate();
+        let across: f64 = parts
+            .map(|(column, &weight)| f64::from(weight) * deviation(column))
+            .sum();
+        each(row, across);
+    }
+}
+
+/// The matrix that whitens the spread inside classes, as a lower triangle, row by row: every class counts alike.
+///
+/// # Errors
+/// `TooFewImages` if a class is too small for a spread.
+pub fn pooled_whitening(classes: &[Moments], shrinkage: f64) -> Result<Vec<f32>, Undefined> {
+    let len = classes.first().map_or(0, Moments::energies);
+    let mut pooled = DMatrix::zeros(len, len);
+    for class in classes {
+        class.check_frames()?;
+        pooled += class.covariance();
+    }
+    // There are few classes.
+    #[allow(clippy::cast_precision_loss)]
+    let share = 1.0 / classes.len().max(1) as f64;
+    whitening_of(&(share * pooled), shrinkage)
+}
+
+/// The matrix that whitens a spread, as a lower triangle, row by row. The correlation matrix is shrunk towards the
+/// identity.
+fn whitening_of(covariance: &DMatrix<f64>, shrinkage: f64) -> Result<Vec<f32>, Undefined> {
+    let len = covariance.nrows();
+    let spreads: Vec<f64> = (0..len)
+        .map(|i| (covariance[(i, i)] + SPREAD_FLOOR * SPREAD_FLOOR).sqrt())
+        .collect();
+    let shrunk = DMatrix::from_fn(len, len, |i, j| {
+        let correlation = covariance[(i, j)] / (spreads[i] * spreads[j]);
+        (1.0 - shrinkage) * correlation + if i == j { shrinkage } else { 0.0 }
+    });
+    // The matrix is positive definite: it is a correlation matrix plus a multiple of the identity.
+    let lower = Cholesky::new(shrunk).ok_or(Undefined::NoScore)?.l();
+    let mut whitening = DMatrix::identity(len, len);
+    if !lower.solve_lower_triangular_mut(&mut whitening) {
+        return Err(Undefined::NoScore);
+    }
+    #[allow(clippy::cast_possible_truncation)]
+    Ok((0..len)
+        .flat_map(|row| (0..=row).map(move |column| (row, column)))
+        .map(|(row, column)| (whitening[(row, column)] / spreads[column]) as f32)
+        .collect())
 }
 
 /// Number of drives of an accepted domain at which its spread is half its own and half that of the simulation.

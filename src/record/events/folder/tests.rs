@@ -6,7 +6,7 @@ use std::os::unix::fs::symlink;
 
 use super::super::{Moment, read};
 use super::*;
-use crate::monitor::cause::Cause;
+use crate::reference::cause::Cause;
 
 const DAY: Duration = Duration::from_secs(86_400);
 /// A day of 2026.

@@ -4,9 +4,9 @@ use super::*;
 use crate::capture::Picture;
 use crate::features::attention::EnergyMap;
 use crate::monitor::alarm::Reason;
-use crate::monitor::cause::{Cause, LikelyCause};
 use crate::monitor::profile::ProfileKind;
 use crate::monitor::profile::TapProfile;
+use crate::reference::cause::{Cause, LikelyCause};
 use std::fs;
 
 fn picture() -> Picture {
