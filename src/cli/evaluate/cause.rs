@@ -31,7 +31,7 @@ pub fn rows(watched: &Watched, args: &EvaluateArgs) -> anyhow::Result<Vec<Row<To
     let events = Event::all(args.look);
     let scripts: Vec<Script> = events
         .iter()
-        .flat_map(|event| (0..drives).map(|n| event.script(args.look, n.into())))
+        .flat_map(|event| (0..drives).map(|n| event.script(args.look, args.stretch, n.into())))
         .collect();
     let bar = progress::over(Some(scripts.len() as u64), "causes", "drives");
     let verdicts = verdicts_of(&scripts, &watched.encoder, &watched.reference, &|| {

@@ -101,11 +101,13 @@ impl Event {
         }
     }
 
-    /// The event on the drive with this number.
-    pub fn script(self, nominal: Look, number: u64) -> Script {
+    /// The event on the drive with this number; `stretch_m` is the mean length of the stretches of its road, metres, 0
+    /// for a road of one kind.
+    pub fn script(self, nominal: Look, stretch_m: u32, number: u64) -> Script {
         let drive = |look: Look, seed: u64, conditions: Vec<Condition>| Shown::Drive {
             look,
             seed,
+            stretch_m,
             conditions,
         };
         let seed = FIRST_SEED + number;
