@@ -16,8 +16,10 @@
 #![allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)]
 
 mod belts;
+mod beside;
 mod bridge;
 mod canvas;
+mod changes;
 mod conditions;
 mod drive;
 mod ground;
@@ -27,6 +29,7 @@ mod markings;
 mod moment;
 mod noise;
 mod overlay;
+mod panels;
 mod projection;
 mod render;
 mod road;
@@ -34,6 +37,7 @@ mod road_kind;
 mod roadside;
 mod sensor;
 mod sequence;
+mod shade;
 mod source;
 mod spec;
 mod standing;

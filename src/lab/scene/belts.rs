@@ -1,19 +1,10 @@
 //! What stands along the whole of one side of a stretch: edges of woods, hedges, banks, walls and rows of houses.
 
-use super::canvas::Canvas;
-use super::light::{Colour, blended, scaled};
-use super::moment::Moment;
+use super::light::{Colour, blended};
 use super::noise::{Draws, RoughColumn, hash, unit};
 use super::road_kind::RoadKind;
-use super::textures::SNOW;
 use super::world::{Look, World};
 
-/// Belts are seen up to this distance, metres.
-const REACH_M: f32 = 380.0;
-/// Makes the outer one of two belts at the same distance the farther one; this is a share of its distance from the road.
-const OUTER_FIRST: f32 = 1e-3;
-/// The texture of a belt repeats after this length of road, metres.
-const REPEAT_M: f64 = 4_096.0;
 /// Width of a house in a row, metres.
 const HOUSE_M: f32 = 16.0;
 /// Numbers of values of coarse and of fine noise in a metre.
@@ -35,8 +26,9 @@ enum Kind {
 pub struct Belt {
     kind: Kind,
     /// Distance from the edge of the asphalt, metres.
-    clear_m: f32,
-    height_m: f32,
+    pub clear_m: f32,
+    /// Its height, metres.
+    pub height_m: f32,
     colour: Colour,
     seed: u32,
 }
@@ -85,12 +77,12 @@ impl Belt {
     }
 
     /// Whether it is high right from its ends.
-    fn ends_abruptly(&self) -> bool {
+    pub fn ends_abruptly(&self) -> bool {
         matches!(self.kind, Kind::Wall | Kind::Houses)
     }
 
     /// The column of the belt at the length `along_m` of road.
-    fn column(&self, along_m: f32, z_m: f32) -> Column {
+    pub fn column(&self, along_m: f32, z_m: f32) -> Column {
         let fine = (FINE_M / z_m).min(1.0);
         let full = Column {
             along_m,
@@ -134,7 +126,7 @@ impl Belt {
 
     /// Tone of the belt at a height of `up_m`, which is the share `up` of its height; `None` above its top.
     #[inline(always)]
-    fn tone(&self, column: &Column, up: f32, up_m: f32) -> Option<f32> {
+    pub fn tone(&self, column: &Column, up: f32, up_m: f32) -> Option<f32> {
         let along_m = column.along_m;
         if up > column.top {
             return None;
@@ -180,105 +172,12 @@ fn part(number: f32) -> f32 {
 }
 
 /// What all pixels of one column of a belt have in common.
-struct Column {
+pub struct Column {
     along_m: f32,
     fine: f32,
     coarse_noise: RoughColumn,
     fine_noise: RoughColumn,
     top: f32,
-    colour: Colour,
-}
-
-/// A piece of a belt between two points of the road ahead.
-#[derive(Clone, Copy)]
-pub struct BeltPiece<'a> {
-    belt: &'a Belt,
-    /// 0 left, 1 right.
-    side: usize,
-    /// The stretch of the belt.
-    stretch: usize,
-    /// The farther point.
-    node: usize,
-}
-
-impl Moment<'_> {
-    /// The pieces of all belts, with their distances.
-    pub(super) fn belt_pieces(&self) -> impl Iterator<Item = (f32, BeltPiece<'_>)> {
-        let nodes = &self.ahead.nodes;
-        (0..2).flat_map(move |side| {
-            self.way.belts(side).flat_map(move |(stretch, belt)| {
-                let (from_m, to_m) = if belt.ends_abruptly() {
-                    self.way.ends_m(stretch, 0.0)
-                } else {
-                    self.way.ends_m(stretch, 0.5)
-                };
-                let ahead_m = |s_m: f64| (s_m - self.pose.s_m) as f32;
-                let (from_m, to_m) = (ahead_m(from_m), ahead_m(to_m));
-                (1..nodes.len()).filter_map(move |node| {
-                    let (near_m, far_m) = (nodes[node - 1].z_m, nodes[node].z_m);
-                    let there = far_m > from_m && near_m < to_m;
-                    (there && near_m >= 1.0 && far_m < REACH_M).then_some((
-                        far_m + OUTER_FIRST * belt.clear_m,
-                        BeltPiece {
-                            belt,
-                            side,
-                            stretch,
-                            node,
-                        },
-                    ))
-                })
-            })
-        })
-    }
-
-    /// Paints one piece of a belt.
-    pub(super) fn paint_belt(
-        &self,
-        BeltPiece {
-            belt,
-            side,
-            stretch,
-            node,
-        }: BeltPiece<'_>,
-        canvas: &mut Canvas,
-        mask: &mut [u8],
-    ) {
-        let corner = |node: usize| {
-            let node = self.ahead.nodes[node];
-            let s_m = self.pose.s_m + f64::from(node.z_m);
-            let edges_m = self.way.edges_m(s_m);
-            let d_m = if side == 0 {
-                edges_m.0 - belt.clear_m
-            } else {
-                edges_m.1 + belt.clear_m
-            };
-            let height_m = if belt.ends_abruptly() {
-                belt.height_m
-            } else {
-                belt.height_m * self.way.grown(stretch, s_m)
-            };
-            self.corner(&node, d_m, (0.0, height_m))
-        };
-        let ends = [corner(node - 1), corner(node)];
-        let start_m = self.pose.s_m.rem_euclid(REPEAT_M) as f32;
-        let middle_m = 0.5 * (ends[0].z_m + ends[1].z_m);
-        let shade = self.way.shade(self.pose.s_m + f64::from(middle_m)).left();
-        let sun = scaled(self.light.ground, shade * self.light.on_side(side));
-        let snow = 0.4 * self.snow_on_verge();
-        self.paint_panel(
-            &ends,
-            canvas,
-            mask,
-            |z_m| belt.column(start_m + z_m, z_m),
-            |column, up| {
-                let tone = belt.tone(column, up, up * belt.height_m)?;
-                let colour = [0, 1, 2].map(|c| column.colour[c] * sun[c] * tone);
-                Some(if snow > 0.0 {
-                    blended(colour, SNOW, snow * up)
-                } else {
-                    colour
-                })
-            },
-        );
-    }
+    /// Colour in full light.
+    pub colour: Colour,
 }

@@ -1,5 +1,6 @@
 //! A drive: everything that is drawn from its seed.
 
+use super::changes::Changes;
 use super::conditions::Condition;
 use super::light::{Colour, Light};
 use super::markings::{Cross, Layout};
@@ -9,7 +10,6 @@ use super::road::Road;
 use super::sensor::Sensor;
 use super::surroundings::Surroundings;
 use super::traffic::Traffic;
-use super::way::Changes;
 use super::world::{Look, World};
 
 /// A drive that can be rendered at any time.

@@ -1,7 +1,7 @@
 //! Light and air of a nominal drive: sun, sky, haze and the exposure that follows them.
 
 use super::noise::{BLOCK, Draws, NoiseColumn, NoiseRow};
-use super::way::Shade;
+use super::shade::Shade;
 use super::world::{Element, Look, World};
 
 /// A colour in linear light: red, green and blue; 1 is a white sheet in full light.

@@ -1,14 +1,10 @@
 //! What stands beside a stretch of a road that changes: objects, and belts along the road.
 
 use super::belts::Belt;
-use super::moment::Moment;
-use super::noise::{Draws, hash};
+use super::noise::Draws;
 use super::road_kind::{RoadKind, Traits};
-use super::surroundings::{OBJECT_CELL_M, ObjectKind, Rail, RoadsideObject};
+use super::surroundings::{ObjectKind, Rail, RoadsideObject};
 use super::world::{Element, Look, World};
-
-/// Distances at which objects begin to rise into view, and at which they have their size, metres.
-const RISE_M: (f32, f32) = (260.0, 200.0);
 
 /// The roadside of one stretch.
 pub struct Roadside {
@@ -54,7 +50,14 @@ impl Roadside {
         belts.map(|belt| 0.5 * belt.hides()).sum()
     }
 
-    fn object(&self, draws: Draws, cell: i32, side: f32, edge_m: f32) -> Option<RoadsideObject> {
+    /// The object in a cell of the grid of objects on the side `side` (-1 left, 1 right) of the asphalt.
+    pub fn object(
+        &self,
+        draws: Draws,
+        cell: i32,
+        side: f32,
+        edge_m: f32,
+    ) -> Option<RoadsideObject> {
         if !draws.chance("there", self.density) {
             return None;
         }
@@ -74,34 +77,5 @@ impl Roadside {
             (side, edge_m),
             self.traits.clear,
         ))
-    }
-}
-
-impl Moment<'_> {
-    /// Objects beside a road that changes.
-    pub(super) fn changing_objects(&self) -> Vec<RoadsideObject> {
-        let (from_m, to_m) = (self.pose.s_m + 5.0, self.pose.s_m + f64::from(RISE_M.0));
-        let cells = (from_m / OBJECT_CELL_M).floor() as i32..(to_m / OBJECT_CELL_M).floor() as i32;
-        let mut objects = Vec::new();
-        for (cell, side) in cells.flat_map(|cell| [(cell, 0), (cell, 1)]) {
-            let draws = Draws(hash(self.drive.seed, cell, 0x0B1 + side));
-            let s_m = f64::from(cell) * OBJECT_CELL_M;
-            let Some(roadside) = self.way.roadside(s_m, draws) else {
-                continue;
-            };
-            let edges_m = self.way.edges_m(s_m);
-            let side_edge = if side == 0 {
-                (-1.0, edges_m.0)
-            } else {
-                (1.0, edges_m.1)
-            };
-            if let Some(mut object) = roadside.object(draws, cell, side_edge.0, side_edge.1) {
-                let z_m = (object.s_m - self.pose.s_m) as f32;
-                let risen = ((RISE_M.0 - z_m) / (RISE_M.0 - RISE_M.1)).clamp(0.05, 1.0);
-                object.size_m.1 *= risen;
-                objects.push(object);
-            }
-        }
-        objects
     }
 }

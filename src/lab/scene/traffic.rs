@@ -1,11 +1,12 @@
 //! Other vehicles. The traffic of each lane is at rest in a frame of reference that moves with the speed of the lane,
 //! so that any moment can be calculated directly, and a drive needs no end.
 
+use std::borrow::Cow;
+
 use super::light::Colour;
 use super::markings::Layout;
 use super::noise::{Draws, hash, wander};
 use super::road::{Pose, Road};
-use super::way::Way;
 use super::world::{Element, World};
 
 /// Spacing of the grid, whose cells may hold one vehicle, metres.
@@ -46,10 +47,16 @@ impl Traffic {
         }
     }
 
-    /// Vehicles between 7 and 160 m ahead, the farthest first.
-    pub fn ahead(&self, t_s: f64, pose: &Pose, road: &Road, way: &Way) -> Vec<Vehicle> {
+    /// Vehicles between 7 and 160 m ahead, the farthest first; `layout_at` gives the cross-section at an arc length.
+    pub fn ahead<'a>(
+        &self,
+        t_s: f64,
+        pose: &Pose,
+        road: &Road,
+        layout_at: impl Fn(f64) -> Cow<'a, Layout>,
+    ) -> Vec<Vehicle> {
         let mut seen = Vec::new();
-        let layout = way.layout(pose.s_m);
+        let layout = layout_at(pose.s_m);
         if self.draws.chance("lead vehicle", 1.2 * self.density) {
             let z_m = self.draws.range("lead distance", 18.0, 70.0)
                 * (1.0 + 0.3 * wander(self.draws.seed("lead breathing"), t_s / 11.0));
@@ -67,8 +74,7 @@ impl Traffic {
                 lane as i32,
                 t_s * f64::from(speed_mps),
                 pose.s_m,
-                |layout| layout.lanes_m.get(lane).copied(),
-                way,
+                |s_m| layout_at(s_m).lanes_m.get(lane).copied(),
                 &mut seen,
             );
         }
@@ -77,8 +83,7 @@ impl Traffic {
                 ONCOMING,
                 -t_s * f64::from(road.speed_mps),
                 pose.s_m,
-                |layout| layout.oncoming_m,
-                way,
+                |s_m| layout_at(s_m).oncoming_m,
                 &mut seen,
             );
         }
@@ -92,8 +97,7 @@ impl Traffic {
         lane: i32,
         moved_m: f64,
         ego_s_m: f64,
-        middle_m: impl Fn(&Layout) -> Option<f32>,
-        way: &Way,
+        middle_m: impl Fn(f64) -> Option<f32>,
         seen: &mut Vec<Vehicle>,
     ) {
         let cell = |z_m: f64| ((ego_s_m + z_m - moved_m) / CELL_M).floor() as i32;
@@ -102,8 +106,7 @@ impl Traffic {
             let place_m = (f64::from(k) + f64::from(draws.range("place", 0.2, 0.8))) * CELL_M;
             let z_m = (place_m + moved_m - ego_s_m) as f32;
             if draws.chance("there", self.density) && (7.0..160.0).contains(&z_m) {
-                let layout = way.layout(ego_s_m + f64::from(z_m));
-                let middle_m = middle_m(&layout).unwrap_or_default();
+                let middle_m = middle_m(ego_s_m + f64::from(z_m)).unwrap_or_default();
                 seen.push(vehicle(draws, z_m, middle_m, lane == ONCOMING));
             }
         }

@@ -6,16 +6,17 @@ use std::borrow::Cow;
 use super::Drive;
 use super::belts::Belt;
 use super::bridge::Bridge;
+use super::changes::Appearance;
 use super::light::Light;
-use super::markings::{Cross, Layout};
+use super::markings::Layout;
 use super::noise::{Draws, smooth, wander};
-use super::road_kind::RoadKind;
 use super::roadside::Roadside;
 use super::sensor::follow;
-use super::sequence::{Passage, Sequence, Stretch};
+use super::sequence::{Passage, Stretch};
+use super::shade::Shade;
 use super::surroundings::{Rail, Surroundings};
 use super::textures::Textures;
-use super::world::{Element, World};
+use super::world::Element;
 
 /// Part of the road behind and before the car of which the way knows the stretches, metres.
 const KNOWN_M: (f64, f64) = (120.0, 600.0);
@@ -24,109 +25,8 @@ const KNOWN_M: (f64, f64) = (120.0, 600.0);
 const METERED: f32 = 1.7;
 /// The hills and the air change over a longer part of the road than the road does.
 const FAR_PASSAGES: f32 = 5.0;
-/// Time in which clouds come before the sun, seconds.
-const CLOUD_S: f64 = 9.0;
 /// Mean length of the masses of shade under trees, metres.
 const SHADE_M: f64 = 34.0;
-
-/// What changes along a drive, and from what.
-#[derive(Clone, Debug)]
-pub struct Changes {
-    sequence: Sequence,
-    world: World,
-    cross: Cross,
-    draws: Draws,
-}
-
-impl Changes {
-    /// The changes of a drive that begins with the cross-section `cross`.
-    pub fn new(draws: Draws, world: &World, cross: Cross) -> Self {
-        Self {
-            sequence: Sequence::new(draws, world.stretch_m, cross.two_way()),
-            world: world.clone(),
-            cross,
-            draws,
-        }
-    }
-
-    /// Light of the sun at `t_s`, as a share of that without clouds.
-    fn sun(&self, light: &Light, t_s: f64) -> f32 {
-        if !self.world.has(Element::Sunlight) {
-            return 1.0;
-        }
-        let cloud = wander(self.draws.seed("sun"), t_s / CLOUD_S)
-            + 0.5 * wander(self.draws.seed("sun fast"), t_s / (0.37 * CLOUD_S));
-        let often = self.draws.range("clouds before the sun", -0.6, 0.5);
-        let hidden = smooth((1.8 * (cloud + often)).clamp(0.0, 1.0));
-        1.0 - hidden * (0.25 + 0.5 * light.clear)
-    }
-}
-
-/// How one stretch looks.
-struct Appearance {
-    cross: Cross,
-    textures: Textures,
-    roadside: Option<Roadside>,
-    bridge: Option<Bridge>,
-    hill_height: f32,
-    canopy: f32,
-    /// How much of the sky is hidden by what stands beside the road, 0 to 1.
-    enclosed: f32,
-    extinction: f32,
-}
-
-impl Appearance {
-    fn of(stretch: &Stretch, changes: &Changes, base: &Surroundings) -> Self {
-        let world = &changes.world;
-        let traits = stretch.kind.traits();
-        let part = |name| Draws(stretch.draws.seed(name));
-        let range = |name, (low, high): (f32, f32)| stretch.draws.range(name, low, high);
-        let scenery = world.has(Element::Scenery);
-        let roadside = scenery.then(|| Roadside::new(part("roadside"), stretch.kind, world));
-        Self {
-            cross: if world.has(Element::Markings) {
-                changes.cross.changed(part("markings"), &traits, world)
-            } else {
-                changes.cross.clone()
-            },
-            textures: base.textures.changed(
-                part("ground"),
-                world,
-                scenery.then_some(stretch.kind == RoadKind::City),
-            ),
-            enclosed: roadside.as_ref().map_or(0.0, Roadside::encloses),
-            roadside,
-            bridge: Bridge::of(stretch, &traits, world),
-            hill_height: if scenery && world.has(Element::FarHills) {
-                range("hills", traits.hills)
-            } else {
-                base.hill_height
-            },
-            canopy: world.when(Element::Canopy, range("canopy", traits.canopy), 0.0),
-            extinction: if world.has(Element::Haze) && stretch.draws.chance("haze", 0.25) {
-                range("extinction", (0.001, 0.007))
-            } else {
-                0.0
-            },
-        }
-    }
-}
-
-/// The shade that falls on a place of the road.
-#[derive(Clone, Copy, Default)]
-pub struct Shade {
-    /// Of trees, 0 to 1.
-    pub canopy: f32,
-    /// Of a bridge, 0 to 1.
-    pub roof: f32,
-}
-
-impl Shade {
-    /// Light that reaches an upright object, as a share of that in the open.
-    pub fn left(self) -> f32 {
-        (1.0 - 0.55 * self.canopy) * (1.0 - 0.6 * self.roof)
-    }
-}
 
 /// The road around the car at one moment.
 pub struct Way<'a> {
@@ -344,9 +244,8 @@ impl<'a> Way<'a> {
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used, clippy::cast_precision_loss)]
-    use super::super::world::Look;
-    use super::super::{Condition, Renderer};
-    use super::*;
+
+    use super::super::{Condition, Drive, Element, Look, Renderer, World};
 
     const SIZE: (u32, u32) = (160, 80);
 
