@@ -214,7 +214,6 @@ mod tests {
                 gap,
                 change: None,
                 parts: heapless::Vec::new(),
-                holds: false,
                 blocks: heapless::Vec::new(),
                 component: 0,
                 drift: 0.0,

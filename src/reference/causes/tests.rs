@@ -1,4 +1,4 @@
-#![allow(clippy::unwrap_used)]
+#![allow(clippy::unwrap_used, clippy::float_cmp)]
 use super::*;
 use crate::reference::gap::moments::{EnergyNorm, NO_DIFFERENCE};
 use crate::reference::{ScalePoint, SpanNorm};
