@@ -144,7 +144,6 @@ fn the_shipped_page_is_made_from_the_shipped_results() {
         "evaluate",
         "--from",
         "calibration/results.json",
-        "calibration/results-accepted.json",
         "--format",
         "markdown",
     ];

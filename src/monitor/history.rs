@@ -203,8 +203,9 @@ impl History {
     /// written, if the present has not lasted that long.
     #[allow(clippy::cast_precision_loss)]
     pub fn recent(&self, seen: Duration, bins: usize, mean: &mut [f64]) -> bool {
+        let until_full = BIN * u32::try_from(bins.saturating_sub(1)).unwrap_or(u32::MAX);
         let lasted = self.began.map(|began| seen.saturating_sub(began));
-        if lasted.is_none_or(|lasted| lasted < BIN * (bins as u32 - 1)) {
+        if lasted.is_none_or(|lasted| lasted < until_full) {
             return false;
         }
         let from = (number_of_bin(seen) + 1).saturating_sub(bins as u64);
@@ -267,4 +268,102 @@ fn scale(sums: &mut [f64], count: f64) {
 #[allow(clippy::cast_possible_truncation)]
 pub fn number_of_bin(seen: Duration) -> u64 {
     (seen.as_nanos() / BIN.as_nanos()) as u64
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::float_cmp)]
+    use super::*;
+
+    const NAT: u32 = 1_024;
+
+    fn at(ms: u64) -> Duration {
+        Duration::from_millis(ms)
+    }
+
+    /// Adds a frame every 100 ms, each with this level in nats.
+    fn drive(history: &mut History, ms: std::ops::Range<u64>, level: u32, held: bool) {
+        for ms in ms.step_by(100) {
+            history.add(at(ms), &[level * NAT], held);
+        }
+    }
+
+    fn past_of(history: &History) -> Option<f64> {
+        let mut mean = [0.0];
+        history.past(4, 40, &mut mean).then_some(mean[0])
+    }
+
+    fn recent_of(history: &History, ms: u64) -> Option<f64> {
+        let mut mean = [0.0];
+        history.recent(at(ms), 4, &mut mean).then_some(mean[0])
+    }
+
+    #[test]
+    fn a_past_of_twenty_seconds_is_known_after_twenty_two() {
+        let mut history = History::new(1);
+        drive(&mut history, 0..1_500, 3, false);
+        assert_eq!(recent_of(&history, 1_400), None);
+        drive(&mut history, 1_500..20_000, 3, false);
+        assert_eq!(
+            (recent_of(&history, 19_900), past_of(&history)),
+            (Some(3.0), None)
+        );
+        drive(&mut history, 20_000..22_000, 3, false);
+        drive(&mut history, 22_000..24_000, 5, false);
+        assert_eq!(
+            (recent_of(&history, 23_900), past_of(&history)),
+            (Some(5.0), Some(3.0))
+        );
+    }
+
+    #[test]
+    fn what_is_seen_while_the_past_is_held_never_enters_it() {
+        let mut history = History::new(1);
+        drive(&mut history, 0..30_000, 3, false);
+        drive(&mut history, 30_000..31_000, 9, false);
+        drive(&mut history, 31_000..90_000, 9, true);
+        assert_eq!(
+            (recent_of(&history, 89_900), past_of(&history)),
+            (Some(9.0), Some(3.0))
+        );
+        // Released: the road is as before, and so is the past, on both sides of what was left out.
+        drive(&mut history, 90_000..120_000, 3, false);
+        assert_eq!(
+            (recent_of(&history, 119_900), past_of(&history)),
+            (Some(3.0), Some(3.0))
+        );
+        // The past that begins anew is that of the new road.
+        drive(&mut history, 120_000..130_000, 7, true);
+        history.forget_past();
+        assert_eq!(past_of(&history), None);
+        drive(&mut history, 130_000..155_000, 7, false);
+        assert_eq!(past_of(&history), Some(7.0));
+    }
+
+    #[test]
+    fn every_bin_of_the_past_counts_alike_at_any_rate() {
+        let mut history = History::new(1);
+        // 10 s at ten frames a second, then 14 s at one.
+        drive(&mut history, 0..10_000, 2, false);
+        for second in 10..24 {
+            history.add(at(1_000 * second), &[4 * NAT], false);
+        }
+        // 22 s of past: of the newest 40 bins, 20 were seen often, and every second one of the others once.
+        let past = past_of(&history).unwrap_or_default();
+        assert!((2.6..2.9).contains(&past), "{past}");
+    }
+
+    #[test]
+    fn an_interruption_begins_the_present_anew_and_keeps_the_past() {
+        let mut history = History::new(1);
+        drive(&mut history, 0..25_000, 3, false);
+        history.interrupt(false);
+        history.add(at(25_000), &[9 * NAT], false);
+        assert_eq!(
+            (recent_of(&history, 25_000), past_of(&history)),
+            (None, Some(3.0))
+        );
+        history.forget();
+        assert_eq!(past_of(&history), None);
+    }
 }

@@ -230,3 +230,84 @@ impl Watched {
 fn bins(seconds: f64) -> usize {
     (seconds / BIN.as_secs_f64()).round() as usize
 }
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, clippy::float_cmp)]
+    use super::*;
+
+    fn at(ms: u64) -> Duration {
+        Duration::from_millis(ms)
+    }
+
+    /// Runs at ten frames a second, and calls a score that holds while the level is above 5 nats away from the past.
+    fn run(watch: &mut SpanWatch, from_ms: u64, to_ms: u64, level: u32) -> Option<f64> {
+        let mut last = None;
+        for ms in (from_ms..to_ms).step_by(100) {
+            watch.add(at(ms), &[1_024 * level]);
+            last = watch.levels(1).map(|levels| levels[0]);
+            let found = last.map(|apart| SpanScore {
+                score: apart.abs(),
+                holds: apart.abs() > 5.0,
+                relative: 1.0,
+            });
+            watch.note(&[None, found, None]);
+        }
+        last
+    }
+
+    fn watch() -> SpanWatch {
+        SpanWatch::of(&Span::ALL, 1, Duration::ZERO)
+    }
+
+    #[test]
+    fn a_change_lasts_until_the_road_is_as_before() {
+        let mut watch = watch();
+        assert_eq!(run(&mut watch, 0, 30_000, 3), Some(0.0));
+        assert_eq!(run(&mut watch, 30_000, 70_000, 13), Some(10.0), "a tunnel");
+        assert_eq!(run(&mut watch, 70_000, 73_000, 3), Some(0.0), "its end");
+        assert_eq!(run(&mut watch, 73_000, 120_000, 3), Some(0.0));
+    }
+
+    #[test]
+    fn a_change_that_lasts_for_a_minute_is_the_new_past() {
+        let mut watch = watch();
+        run(&mut watch, 0, 30_000, 3);
+        assert_eq!(run(&mut watch, 30_000, 91_000, 13), Some(10.0));
+        assert_eq!(
+            run(&mut watch, 91_000, 95_000, 13),
+            None,
+            "the past begins anew"
+        );
+        assert_eq!(run(&mut watch, 95_000, 125_000, 13), Some(0.0));
+    }
+
+    #[test]
+    fn a_short_interruption_keeps_the_past_and_a_long_one_loses_it() {
+        for (pause_ms, known) in [(3_000, true), (59_000, true), (61_000, false)] {
+            let mut watch = watch();
+            run(&mut watch, 0, 30_000, 3);
+            let again = 30_000 + pause_ms;
+            assert_eq!(
+                run(&mut watch, again, again + 1_000, 13),
+                None,
+                "no present yet"
+            );
+            let found = run(&mut watch, again + 1_000, again + 3_000, 13);
+            assert_eq!(found, known.then_some(10.0), "{pause_ms} ms");
+        }
+    }
+
+    #[test]
+    fn one_frame_a_second_is_enough() {
+        let mut watch = SpanWatch::of(&Span::ALL, 1, at(1_000));
+        for second in 0..60 {
+            watch.add(at(1_000 * second), &[1_024 * 3]);
+        }
+        assert_eq!(watch.levels(1).unwrap(), [0.0]);
+        for second in 60..63 {
+            watch.add(at(1_000 * second), &[1_024 * 5]);
+        }
+        assert_eq!(watch.levels(1).unwrap(), [2.0]);
+    }
+}

@@ -26,6 +26,7 @@ use crate::model::encoder::{Encoder, EncoderError};
 use crate::model::preprocess::Preprocessing;
 use crate::monitor::alarm::AlarmState;
 use crate::reference::Component;
+use crate::reference::EvidenceKind;
 use crate::reference::gap::Metric;
 use crate::statistics::bootstrap::{ROUNDS, percentile_interval};
 use crate::statistics::event_rate::poisson_interval;
@@ -308,7 +309,11 @@ impl Thresholds {
             name: "simulation".to_owned(),
             drives: fitted,
         };
-        let wanted = Target::new(method.metric(), method.window_s(), RATES_PER_HOUR[0]);
+        // One window: metrics are compared, and not what more evidence adds.
+        let wanted = Target {
+            evidence: EvidenceKind::Frames,
+            ..Target::new(method.metric(), method.window_s(), RATES_PER_HOUR[0])
+        };
         let Calibrated {
             components,
             false_alarms,

@@ -18,6 +18,7 @@ use crate::lab::labelled::LabelledSurvey;
 use crate::model::encoder::Encoder;
 use crate::model::preprocess::Preprocessing;
 use crate::reference::Component;
+use crate::reference::EvidenceKind;
 use crate::reference::gap::Metric;
 use crate::statistics::event_rate::poisson_interval;
 
@@ -176,7 +177,11 @@ impl<'a> Point<'a> {
             name: "simulation".to_owned(),
             drives: &fitted,
         };
-        let wanted = Target::new(metric, window_s, RATES_PER_HOUR[0]);
+        // One window: metrics are compared, and not what more evidence adds.
+        let wanted = Target {
+            evidence: EvidenceKind::Frames,
+            ..Target::new(metric, window_s, RATES_PER_HOUR[0])
+        };
         let names: Vec<String> = subset.iter().map(|&tap| taps[tap].clone()).collect();
         let made = calibrate(&[domain], &held_out, &labelled, &names, wanted)?;
         let judging = held_out.into_iter().enumerate();
