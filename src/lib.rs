@@ -11,6 +11,7 @@
 //!      BlockMeans  [energies] by channel, and by cell of a coarse grid      features::energies
 //!   -> taken       [bins] pixels, or [energies] levels of log energies      monitor::extraction
 //!   -> gap         of a window's sums against a Reference                   reference, monitor::detector
+//!      change      of the last seconds against the past of the same road    monitor::history, monitor::span_watch
 //!   -> score       0 nominal, 1 alarm threshold                             monitor::detector
 //!   -> AlarmState  Init, Ok, Suspect, Gap, SensorFault, Unavailable         monitor::alarm
 //!   -> GapStatus   8 bytes with counter and CRC                             can
@@ -48,7 +49,10 @@
 //! | extraction | what a nominal domain takes from a frame: counts of bins, or levels of energies |
 //! | window | the last frames that are judged together |
 //! | gap | distance of a window from the nearest nominal domain, in units of its metric |
-//! | score | the gap scaled: 0 is the nominal median, 1 the alarm threshold |
+//! | span | a longer recent time, or a recent time and the past before it |
+//! | change | distance of the last seconds from the road's own past |
+//! | cause | the condition that a gap or a change looks like |
+//! | score | the gap or change scaled: 0 is the nominal median, 1 the alarm threshold |
 //! | change | how far the road differs from its own past, as a score |
 //! | lanes | forecast of the share of lanes that the model loses |
 //! | evidence | what a window adds for or against an alarm |

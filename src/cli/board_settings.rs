@@ -5,8 +5,7 @@ use std::time::Duration;
 
 use anyhow::bail;
 use gapwatch::live::board::Board;
-use gapwatch::reference::Periods;
-use gapwatch::reference::Reference;
+use gapwatch::reference::{JudgedRate, Periods, Reference};
 
 /// The board's rates. A window must hold more than one frame at the slow rate, so that the time between them is not an
 /// interruption.
@@ -26,6 +25,20 @@ pub fn periods(board: &Board, reference: &Reference, file: &Path) -> anyhow::Res
         );
     }
     Ok(periods)
+}
+
+/// What is to be said if the board judges at other rates than those for which the reference has thresholds.
+pub fn other_rate(board: &Board, reference: &Reference) -> Option<String> {
+    let rate = JudgedRate {
+        rate_hz: board.monitor.rate_hz,
+        idle_rate_hz: board.monitor.idle_rate_hz,
+    };
+    (!rate.is_like(reference.rate)).then(|| {
+        format!(
+            "judged at {rate}, but the thresholds are made for {}: the rate of false alarms is not known",
+            reference.rate
+        )
+    })
 }
 
 /// With a reference made of simulation alone, every real road is a gap, so a board must ask for it.

@@ -20,7 +20,7 @@ use gapwatch::statistics::event_rate::Loudness;
 
 use check::{Check, Outcome};
 
-use super::board_settings::{periods, read_reference};
+use super::board_settings::{other_rate, periods, read_reference};
 use super::loaded_model::LoadedModel;
 use crate::cli::args::{DoctorArgs, TableFormat};
 
@@ -141,6 +141,10 @@ fn reference(
         alarms.wanted_per_hour,
         alarms.said()
     );
+    let found = match other_rate(board, &reference) {
+        Some(said) => format!("{found}; {said}"),
+        None => found,
+    };
     let check = match alarms.loudness() {
         Loudness::NotLouder => Check::pass("reference", found),
         Loudness::NotShown { .. } => Check::warn(

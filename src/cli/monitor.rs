@@ -29,7 +29,7 @@ use gapwatch::monitor::pipeline::Sight;
 use gapwatch::record::events::{EventCounts, EventRecorder, Quota};
 use gapwatch::record::journal::{About, Journal};
 
-use super::board_settings::{periods, read_reference};
+use super::board_settings::{other_rate, periods, read_reference};
 use super::live::Live;
 use super::loaded_model::LoadedModel;
 use super::state_lines::{evidence_line, state_line};
@@ -53,6 +53,9 @@ pub fn run(args: &MonitorArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
     let name = name.map_or_else(|| "built-in".to_owned(), |path| path.display().to_string());
     reference.check_fits(&name, &model.fingerprint)?;
     let periods = periods(&board, &reference, &args.board)?;
+    if let Some(said) = other_rate(&board, &reference) {
+        log::warn!("{}: {said}", args.board.display());
+    }
     let wanted = Arc::new(WantedPeriod::new(periods.full));
     let source = open_camera(
         &board.camera.source,

@@ -85,3 +85,33 @@ impl std::fmt::Display for JudgedRate {
         Ok(())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rates_are_alike_up_to_a_twentieth_and_say_when_they_are_slower() {
+        let rate = |rate_hz, idle_rate_hz| JudgedRate {
+            rate_hz,
+            idle_rate_hz,
+        };
+        let default = JudgedRate::default();
+        assert!(default.is_like(rate(9.6, 10.0)) && !default.is_like(rate(9.4, 10.0)));
+        assert!(!default.is_like(rate(10.0, 2.0)));
+        assert_eq!(default.at_most(4.0), rate(4.0, 4.0));
+        assert_eq!(
+            rate(10.0, 2.0).to_string(),
+            "10 frames a second, 2 while the road is calm"
+        );
+        for wrong in [
+            rate(0.0, 0.0),
+            rate(f64::NAN, 1.0),
+            rate(2.0, 3.0),
+            rate(241.0, 1.0),
+        ] {
+            assert!(wrong.fault().is_some(), "{wrong}");
+        }
+        assert_eq!(default.fault(), None);
+    }
+}
