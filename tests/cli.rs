@@ -97,7 +97,7 @@ fn files_that_are_wrong_are_met_in_plain_words_with_their_line() {
         ),
         (
             "s.json",
-            "{\"format\": \"gapwatch-shard\", \"version\": 1}".to_owned(),
+            "{\"format\": \"gapwatch-shard\", \"version\": 2}".to_owned(),
             vec!["merge", "s.json", "--out", "o.json"],
             "s.json: no \"",
         ),
@@ -497,13 +497,13 @@ fn references_that_are_broken_are_refused_by_name() {
         ("list.json", "[1, 2]".to_owned(), "format null"),
         (
             "old.json",
-            built_in.replacen("\"version\": 4", "\"version\": 99", 1),
+            built_in.replacen("\"version\": 5", "\"version\": 99", 1),
             "version 99",
         ),
         (
             "older.json",
-            built_in.replacen("\"version\": 4", "\"version\": 3", 1),
-            "version 3, of an older gapwatch; make it again with the command under provenance",
+            built_in.replacen("\"version\": 5", "\"version\": 4", 1),
+            "version 4, of an older gapwatch; make it again with the command under provenance",
         ),
         (
             "whitening.json",

@@ -144,7 +144,7 @@ fn what_is_no_event_is_left_alone_and_read_past() {
     fs::write(seen.join("000001"), "mine").unwrap();
     fs::write(seen.join(".unfinished-x"), "mine").unwrap();
     let before = files(&seen);
-    let drive = flicker(8);
+    let drive = flicker(4);
     let said = gapwatch_in(
         folder.path(),
         &[

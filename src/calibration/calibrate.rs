@@ -1,5 +1,7 @@
 //! Surveys of nominal sources → reference: what is nominal, medians, and thresholds for a wanted rate of false alarms.
 
+use std::time::Duration;
+
 use super::drive::{LabelledDrive, SurveyedDrive};
 use super::error::{CalibrationError, wrong};
 use super::false_alarms::{self, DriveScores};
@@ -66,9 +68,10 @@ pub fn looks<D: SurveyedDrive, L: LabelledDrive>(
     } else {
         held_out.len()
     };
-    // With spans, drives are scaled and scored twice; whether there will be spans is known later.
+    // With spans, drives are scaled and scored twice; whether there will be spans is known later. Their rate is looked at
+    // before.
     let times = if wanted.is_timed() { 2 } else { 1 };
-    (of_fitted * fitted + times * (scaled + scored) + labelled.len()) as u64
+    (of_fitted * fitted + times * (scaled + scored) + scored + labelled.len()) as u64
 }
 
 /// Makes the nominal domains of a reference and the thresholds that keep the wanted rate of false alarms.
@@ -175,6 +178,10 @@ pub fn calibrate<D: SurveyedDrive, L: LabelledDrive>(
         });
         scaling = whole.collect();
     }
+    let frames_hz = look_at_all(&scaling, |part| Ok(frames_hz(part.times())))?;
+    let frames_hz = median(frames_hz.into_iter().flatten().collect());
+    let rate = frames_hz.map_or(wanted.rate, |hz| wanted.rate.at_most(hz));
+    let wanted = Target { rate, ..wanted };
     let spans = components.first().map_or(0, Component::spans);
     if spans > 0 {
         // Every part of the evidence has the same share of the false alarms.
@@ -194,14 +201,21 @@ pub fn calibrate<D: SurveyedDrive, L: LabelledDrive>(
     for tap in taps {
         (0..=spans).for_each(|part| tap.widen(part, false_alarms.factor));
     }
-    let frames_hz = drives.iter().filter_map(DriveScores::rate_hz);
-    let judged_hz = median(frames_hz.collect()).unwrap_or(wanted.rate.rate_hz);
     Ok(Calibrated {
         components,
         false_alarms,
         sources,
-        rate: wanted.rate.at_most(judged_hz),
+        rate,
     })
+}
+
+/// Frames a second, from the median time between frames; `None` without two frames.
+fn frames_hz(times: &[Duration]) -> Option<f64> {
+    let pairs = times.windows(2);
+    let mut steps: Vec<Duration> = pairs.map(|pair| pair[1].saturating_sub(pair[0])).collect();
+    steps.sort_unstable();
+    let middle = steps.get(steps.len() / 2).filter(|step| !step.is_zero())?;
+    Some(1.0 / middle.as_secs_f64())
 }
 
 /// What was learnt of a domain.

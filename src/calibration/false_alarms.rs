@@ -91,17 +91,6 @@ impl DriveScores {
         })
     }
 
-    /// Frames a second, from the median time between frames; `None` without two frames.
-    pub fn rate_hz(&self) -> Option<f64> {
-        let pairs = self.frames.windows(2);
-        let mut steps: Vec<Duration> = pairs
-            .map(|pair| pair[1].0.saturating_sub(pair[0].0))
-            .collect();
-        steps.sort_unstable();
-        let middle = steps.get(steps.len() / 2).filter(|step| !step.is_zero())?;
-        Some(1.0 / middle.as_secs_f64())
-    }
-
     /// Judged time, hours: the time that the frames with a score represent. A frame represents the time to the next
     /// frame, and the last frame the same time as the one before it, but an interruption does not count. The time is 0
     /// for a drive in which no frame completed a window, because its state stays `Init`.

@@ -20,7 +20,7 @@ use gapwatch::model::preprocess::CROP_NOTHING;
 use gapwatch::model::{ModelOptions, ModelSpec};
 use gapwatch::reference::gap::Metric;
 use gapwatch::reference::{
-    COMPONENTS_MAX, ModelFingerprint, Provenance, Reference, Role, SourceUse,
+    COMPONENTS_MAX, JudgedRate, ModelFingerprint, Provenance, Reference, Role, SourceUse,
 };
 use indicatif::ProgressBar;
 use rayon::prelude::*;
@@ -332,7 +332,7 @@ impl CalibrationPlan {
         });
         let provenance = Provenance {
             gapwatch: env!("CARGO_PKG_VERSION").to_owned(),
-            command: self.command()?,
+            command: self.command(rate)?,
             sources,
         };
         Ok(Reference::new(
@@ -349,7 +349,7 @@ impl CalibrationPlan {
 
     /// A command that makes the reference again. It does not depend on what was typed, so it has no names of files on
     /// one machine.
-    fn command(&self) -> anyhow::Result<String> {
+    fn command(&self, rate: JudgedRate) -> anyhow::Result<String> {
         let mut words: Vec<String> = vec!["gapwatch".to_owned(), "calibrate".to_owned()];
         let mut add = |flag: &str, values: &[String]| {
             if !values.is_empty() {
@@ -367,7 +367,7 @@ impl CalibrationPlan {
             window_s,
             false_alarms_per_hour,
             evidence,
-            rate,
+            rate: _,
         } = self.wanted;
         add(
             "--false-alarms-per-hour",

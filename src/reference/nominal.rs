@@ -9,12 +9,10 @@ use crate::features::histogram::Binning;
 use crate::reference::gap::lane_risk::LaneRisk;
 use crate::reference::gap::moments::{EnergyNorm, energy_levels};
 use crate::reference::gap::{Comparison, Metric};
-use crate::reference::span::{Span, SpanNorm};
+use crate::reference::span::{SPREAD_MIN, Span, SpanNorm};
 
 /// Largest gap of a metric that compares histograms: the gap of a correlation of -1.
 const GAP_MAX: f64 = 2.0;
-/// Smallest distance of a threshold from its median.
-pub const SPREAD_MIN: f64 = 1e-9;
 
 /// Nominal attention of one tapped block.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

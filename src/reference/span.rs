@@ -6,7 +6,9 @@ use std::str::FromStr;
 use serde::{Deserialize, Serialize};
 
 use crate::reference::gap::moments::EnergyNorm;
-use crate::reference::nominal::SPREAD_MIN;
+
+/// Smallest distance of a threshold from its median.
+pub const SPREAD_MIN: f64 = 1e-9;
 
 /// A recent time that is compared with what is nominal, or with the time before it.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
