@@ -190,7 +190,6 @@ impl Shard {
                 self.evidence.to_string(),
                 other.evidence.to_string(),
             ),
-            ("rate", self.rate.to_string(), other.rate.to_string()),
         ];
         let of_model = self.model.difference(&other.model);
         let of_model = of_model.map(|(what, ours, theirs)| match what {

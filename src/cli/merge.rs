@@ -6,9 +6,10 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
+use gapwatch::calibration::Target;
 use gapwatch::calibration::shard::Shard;
 use gapwatch::calibration::survey::store::SurveyStore;
-use gapwatch::reference::Role;
+use gapwatch::reference::{JudgedRate, Role};
 
 use super::calibrate::describe;
 use super::calibration_plan::CalibrationPlan;
@@ -49,7 +50,13 @@ pub fn run(args: &MergeArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
     }
     let sources = || parts.iter().flat_map(|(_, part)| &part.sources);
     let drives = sources().map(|of| (of.role, of.source.clone())).collect();
-    let plan = CalibrationPlan::new(model, first.wanted(), drives)?;
+    // A reference names the rate of its own drives, which may be slower than that asked for.
+    let rates = parts.iter().map(|(_, part)| part.rate);
+    let wanted = Target {
+        rate: rates.fold(first.rate, JudgedRate::at_least),
+        ..first.wanted()
+    };
+    let plan = CalibrationPlan::new(model, wanted, drives)?;
     plan.check_whole()?;
     let store = SurveyStore::temporary(&plan.model)?.reading(folders(args)?);
     let mut found = plan.find(&store, None)?;

@@ -48,10 +48,20 @@ impl JudgedRate {
     }
 
     /// At most the rate at which frames come.
+    #[must_use]
     pub fn at_most(self, frames_hz: f64) -> Self {
         Self {
             rate_hz: self.rate_hz.min(frames_hz),
             idle_rate_hz: self.idle_rate_hz.min(frames_hz),
+        }
+    }
+
+    /// At least another rate.
+    #[must_use]
+    pub fn at_least(self, other: Self) -> Self {
+        Self {
+            rate_hz: self.rate_hz.max(other.rate_hz),
+            idle_rate_hz: self.idle_rate_hz.max(other.idle_rate_hz),
         }
     }
 
