@@ -243,7 +243,7 @@ impl History {
             return false;
         };
         mean.fill(0.0);
-        let mut used = 0;
+        let mut used = 0_usize;
         for place in 0..self.past.len {
             let (frames, number, sums) = self.past.get(place);
             if (from..end).contains(&number) {
@@ -254,8 +254,8 @@ impl History {
                     .for_each(|(mean, &sum)| *mean += share * f64::from(sum));
             }
         }
-        scale(mean, f64::from(used));
-        used as usize * SPARSE >= bins
+        scale(mean, used as f64);
+        used * SPARSE >= bins
     }
 }
 
