@@ -149,7 +149,7 @@ soak() {
       8) mark busdown && $ip link set vcan0 down && sleep $lasting && mark nominal && $ip link set vcan0 up ;;
       9) mark busgone && $ip link del vcan0 && sleep $lasting && mark nominal && bus_up vcan0 ;;
       10) mark paused && kill -STOP $monitor && sleep $lasting && mark nominal && kill -CONT $monitor ;;
-      *) show night && sleep 4 && show nominal && sleep 2 ;;
+      *) show night && sleep 4 && show nominal && sleep 6 ;;
     esac
     sleep 3.5
     grep VmRSS /proc/$monitor/status >>soak-memory.log
@@ -232,7 +232,8 @@ over kill -CONT $monitor
 show night
 sleep 3
 show nominal
-sleep 4
+# The longest window is 5 s, and an alarm needs 2 s to end.
+sleep 9
 mark clear
 for frame in $(cat clear); do
   cansend vcan0 5D8#$frame

@@ -16,9 +16,9 @@ use crate::cli::args::BenchArgs;
 use crate::cli::loaded_model::LoadedModel;
 
 /// Number of blocks; every second block has the recorder.
-const BLOCKS: u32 = 8;
-/// Frames of a block (8 s) and its frames in fog (3 s): each block has one alarm, which ends within the block.
-const BLOCK_FRAMES: u32 = 200;
+const BLOCKS: u32 = 4;
+/// Frames of a block (14 s) and its frames in fog (3 s): each block has one alarm, which ends within the block.
+const BLOCK_FRAMES: u32 = 350;
 const FOG: Range<u32> = 25..100;
 /// Time between frames.
 const PERIOD: Duration = Duration::from_millis(40);
