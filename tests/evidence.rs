@@ -8,9 +8,9 @@ use std::time::{Duration, Instant};
 
 use crate::program::{SmallDisk, files, gapwatch_in, verdict_lines, whole_events};
 
-/// Noise that comes and goes: an alarm every 4 s.
+/// Noise that comes and goes: an alarm every 8 s, once the longest window is full.
 fn flicker(seconds: u32) -> String {
-    let noise = (1..seconds - 2).step_by(8);
+    let noise = (6..seconds - 2).step_by(8);
     let noise = noise.map(|s| format!("&condition=noise:5@{s}-{}", s + 2));
     format!(
         "scene:sim?seed=7&seconds={seconds}&size=160x80{}",
@@ -21,7 +21,7 @@ fn flicker(seconds: u32) -> String {
 #[test]
 fn a_drive_leaves_events_within_the_quota_and_the_report_shows_them() {
     let folder = tempfile::tempdir().unwrap();
-    let drive = flicker(32);
+    let drive = flicker(40);
     let replay = [
         "replay",
         &drive,
@@ -89,7 +89,7 @@ fn a_killed_program_leaves_only_whole_events_and_the_next_goes_on() {
     // What a kill in the middle of an event leaves goes at the next start.
     fs::create_dir_all(seen.join(".unfinished-000099")).unwrap();
     fs::write(seen.join(".unfinished-000099/frame-000001.jpg"), "half").unwrap();
-    let drive = flicker(8);
+    let drive = flicker(12);
     gapwatch_in(folder.path(), &["replay", &drive, "--evidence", "seen"]).ok();
     assert!(whole_events(&seen).len() > before);
     assert!(!seen.join(".unfinished-000099").exists());
@@ -144,7 +144,7 @@ fn what_is_no_event_is_left_alone_and_read_past() {
     fs::write(seen.join("000001"), "mine").unwrap();
     fs::write(seen.join(".unfinished-x"), "mine").unwrap();
     let before = files(&seen);
-    let drive = flicker(4);
+    let drive = flicker(12);
     let said = gapwatch_in(
         folder.path(),
         &[
@@ -200,7 +200,7 @@ fn root_what_is_told_as_written_is_there_after_a_power_cut() {
     let folder = root.path().join("disk");
     fs::create_dir(&folder).unwrap();
     let _disk = SmallDisk::mount_image(&folder, &image);
-    let drive = flicker(8);
+    let drive = flicker(12);
     for args in [
         vec![
             "replay",

@@ -298,7 +298,7 @@ impl Detector {
         let changes = (0..spans).filter(|&span| self.watch.is_change(span));
         let changes = changes.filter_map(|span| parts[1 + span]);
         evidence.change = changes.map(|of| of.score).reduce(f64::max);
-        self.watch.note(&parts[1..=spans]);
+        self.watch.note(&parts[1..=spans], evidence.gap >= 1.0);
         let known = parts.iter().take(1 + spans);
         evidence.parts = known.map(|part| part.map(|of| of.score)).collect();
         Ok(evidence)

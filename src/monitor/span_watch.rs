@@ -183,12 +183,13 @@ impl SpanWatch {
         Some(found)
     }
 
-    /// Takes the scores of the spans for the domains that are nearest to them. While something has changed, the past is
-    /// held, at most for [`HELD_MAX`]; then it begins anew.
-    pub fn note(&mut self, scores: &[Option<SpanScore>]) {
+    /// Takes the scores of the spans for the domains that are nearest to them, and whether the road is beyond a threshold
+    /// of the gap. While it is, or something has changed, the past is held, at most for [`HELD_MAX`]; then it begins anew.
+    pub fn note(&mut self, scores: &[Option<SpanScore>], in_gap: bool) {
         let changes = self.spans.iter().zip(scores);
         let mut changes = changes.filter(|(span, _)| span.past_bins.is_some());
-        if !changes.any(|(_, score)| score.is_some_and(|score| score.holds)) {
+        let changed = changes.any(|(_, score)| score.is_some_and(|score| score.holds));
+        if !changed && !in_gap {
             self.held_since = None;
             let bin = number_of_bin(self.seen);
             for (span, score) in self.spans.iter_mut().zip(scores) {
@@ -251,7 +252,7 @@ mod tests {
                 holds: apart.abs() > 5.0,
                 relative: 1.0,
             });
-            watch.note(&[None, found, None]);
+            watch.note(&[None, found, None], false);
         }
         last
     }
@@ -267,6 +268,21 @@ mod tests {
         assert_eq!(run(&mut watch, 30_000, 70_000, 13), Some(10.0), "a tunnel");
         assert_eq!(run(&mut watch, 70_000, 73_000, 3), Some(0.0), "its end");
         assert_eq!(run(&mut watch, 73_000, 120_000, 3), Some(0.0));
+    }
+
+    #[test]
+    fn a_gap_never_enters_the_past() {
+        let mut watch = watch();
+        for second in 0..40 {
+            // A gap from the start, before any change can be known.
+            let in_gap = second < 8;
+            let level = if in_gap { 13 } else { 3 };
+            for tenth in 0..10 {
+                watch.add(at(1_000 * second + 100 * tenth), &[1_024 * level]);
+                watch.note(&[None, None, None], in_gap);
+            }
+        }
+        assert_eq!(watch.levels(1).unwrap(), [0.0]);
     }
 
     #[test]
