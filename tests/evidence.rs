@@ -250,14 +250,14 @@ fn root_a_full_disk_costs_events_and_no_verdict() {
     let folder = tempfile::tempdir().unwrap();
     let seen = folder.path().join("seen");
     fs::create_dir(&seen).unwrap();
-    let drive = flicker(48);
+    let drive = flicker(54);
     let journal = |name: &str, more: &[&str]| {
         let args = ["replay", &drive, "--journal", name];
         let said = gapwatch_in(folder.path(), &[&args, more].concat()).ok();
         (said, verdict_lines(&folder.path().join(name)))
     };
     let (_, without) = journal("j", &[]);
-    let disk = SmallDisk::mount(&seen, "400k");
+    let disk = SmallDisk::mount(&seen, "600k");
     let (said, with) = journal("k", &["--evidence", "seen"]);
     assert_eq!(with, without);
     let whole = whole_events(&seen).len();
