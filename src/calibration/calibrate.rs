@@ -172,11 +172,7 @@ pub fn calibrate<D: SurveyedDrive, L: LabelledDrive>(
     }));
     let optimistic = held_out.is_empty();
     if !optimistic {
-        let whole = held_out.iter().map(|drive| Stretch {
-            drive,
-            range: 0..drive.frames(),
-        });
-        scaling = whole.collect();
+        scaling = held_out.iter().map(Stretch::whole).collect();
     }
     let frames_hz = look_at_all(&scaling, |part| Ok(frames_hz(part.times())))?;
     let frames_hz = median(frames_hz.into_iter().flatten().collect());

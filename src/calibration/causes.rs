@@ -12,8 +12,6 @@ use super::error::{CalibrationError, wrong};
 use super::stretch::{Stretch, look_at_all};
 use super::target::Target;
 use super::windows::{Part, Track};
-use crate::monitor::detector::Detector;
-use crate::monitor::rate::Looks;
 use crate::reference::cause::Cause;
 use crate::reference::gap::Metric;
 use crate::reference::gap::moments::{Moments, pooled_whitening};
@@ -74,7 +72,7 @@ pub fn learn_causes<D: SurveyedDrive>(
         ));
     }
     let fits = fitting_drives(drives)?;
-    let whole: Vec<Stretch<'_, D>> = drives.iter().map(whole).collect();
+    let whole: Vec<Stretch<'_, D>> = drives.iter().map(Stretch::whole).collect();
     let own = std::slice::from_ref(domain);
     let mut all = look_at_all(&whole, |part| of_cause(part, own, wanted))?;
     for (of, &fits) in all.iter_mut().zip(&fits) {
@@ -136,13 +134,6 @@ fn fitting_drives<D: SurveyedDrive>(drives: &[D]) -> Result<Vec<bool>, Calibrati
     Ok(fits.collect())
 }
 
-fn whole<D: SurveyedDrive>(drive: &D) -> Stretch<'_, D> {
-    Stretch {
-        drive,
-        range: 0..drive.frames(),
-    }
-}
-
 /// Deviations of a drive some seconds after the onset of its condition.
 fn of_cause(
     part: &Part<'_>,
@@ -156,30 +147,19 @@ fn of_cause(
         change: Vec::new(),
         gap: Vec::new(),
     };
-    let track = part.track(Metric::Mahalanobis, domain)?;
-    let mut detector = Detector::of(wanted.metric, domain.to_vec(), wanted.window_s)
-        .with_frames_every(wanted.rate.periods().idle);
-    let mut looks = Looks::new(wanted.rate);
     let mut due = AFTER_S
         .iter()
         .map(|after_s| name.onset_s + after_s)
         .peekable();
-    for (at, levels) in track.frames() {
-        if !looks.is_due(at) {
-            continue;
-        }
-        let evidence = detector
-            .observe(at, levels)
-            .map_err(|why| wrong(&domain[0].taps[0].tap, wanted.metric, why))?;
-        looks.judged(at, evidence.judgement(), Some(evidence.score()));
+    part.evidence(wanted, domain, |at, _, scorer| {
         if due.next_if(|&due| at.as_secs_f64() >= due).is_some() {
             let mut keep = |explained, into: &mut Vec<Vec<f64>>| {
-                into.extend(detector.deviation(explained, 0).map(<[f64]>::to_vec));
+                into.extend(scorer.deviation(explained, 0).map(<[f64]>::to_vec));
             };
             keep(Explained::Change, &mut samples.change);
             keep(Explained::Gap, &mut samples.gap);
         }
-    }
+    })?;
     if samples.change.is_empty() {
         return Err(CalibrationError::Causes(format!(
             "{}: no change is known after {} s; wanted a condition that grows after {} s or more, and frames after it",
@@ -199,7 +179,7 @@ fn of_another_road<D: SurveyedDrive>(
     domain: &[Component],
     wanted: Target,
 ) -> Result<Vec<Samples>, CalibrationError> {
-    let stretches: Vec<Stretch<'_, D>> = simulation.iter().map(whole).collect();
+    let stretches: Vec<Stretch<'_, D>> = simulation.iter().map(Stretch::whole).collect();
     let levels = look_at_all(&stretches, |part| {
         let track = part.track(Metric::Mahalanobis, domain)?;
         Ok(nominal_levels(&track, wanted.window_s))

@@ -144,8 +144,7 @@ fn calm(drive: &mut [Vec<Vec<f64>>], span: usize, medians: &[f64]) {
 fn distances(part: &Part<'_>, own: &[Component]) -> Result<Vec<Vec<Vec<f64>>>, CalibrationError> {
     let track = part.track(Metric::Mahalanobis, own)?;
     let mut watch = SpanWatch::new(own, Duration::ZERO);
-    let taps = &own[0].taps;
-    let mut found = vec![vec![Vec::new(); watch.len()]; taps.len()];
+    let mut found = vec![vec![Vec::new(); watch.len()]; own[0].taps.len()];
     let mut deviations = vec![0.0; Component::taken_len(own)];
     let mut next = Duration::ZERO;
     for (at, levels) in track.frames() {
@@ -155,12 +154,10 @@ fn distances(part: &Part<'_>, own: &[Component]) -> Result<Vec<Vec<Vec<f64>>>, C
         }
         next = at + BIN;
         for span in 0..watch.len() {
-            let Some(mut levels) = watch.levels(span) else {
+            let Some(levels) = watch.levels(span) else {
                 continue;
             };
-            for (tap, found) in taps.iter().zip(&mut found) {
-                let (own, rest) = levels.split_at(tap.nominal.len());
-                levels = rest;
+            for ((tap, own), found) in own[0].by_tap(levels).zip(&mut found) {
                 found[span].push(tap.spans[span].norm.distance_of(own, &mut deviations));
             }
         }

@@ -54,7 +54,15 @@ pub struct Stretch<'a, D> {
     pub range: Range<usize>,
 }
 
-impl<D: SurveyedDrive> Stretch<'_, D> {
+impl<'a, D: SurveyedDrive> Stretch<'a, D> {
+    /// All frames of a drive.
+    pub fn whole(drive: &'a D) -> Self {
+        Self {
+            drive,
+            range: 0..drive.frames(),
+        }
+    }
+
     /// Looks at the frames. It must be possible to judge all of them.
     pub fn look<T>(
         &self,

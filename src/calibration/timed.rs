@@ -88,20 +88,22 @@ impl TimedMoments {
             }
             next = at + BIN;
             means(&window, &mut mean);
-            levels.each(&mut own.window, &mean, |moments, own| moments.add(own));
+            levels.each(&mut own.window, &mean, Moments::add);
             for (index, span) in own.spans.iter_mut().enumerate() {
                 let Some(compared) = watch.levels(index) else {
                     continue;
                 };
                 if span.span.is_change() {
-                    levels.each_difference(&mut span.taps, compared, &mut mean);
+                    levels.each(&mut span.taps, compared, |moments, own| {
+                        moments.add_differences(own, &mut mean[..own.len()]);
+                    });
                 } else {
                     let steps = |level: &f64| (STEPS_PER_NAT * level).round();
                     #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)]
                     mean.iter_mut()
                         .zip(compared)
                         .for_each(|(mean, level)| *mean = steps(level) as u32);
-                    levels.each(&mut span.taps, &mean, |moments, own| moments.add(own));
+                    levels.each(&mut span.taps, &mean, Moments::add);
                 }
             }
         }
@@ -150,20 +152,12 @@ impl Levels<'_> {
         levels
     }
 
-    fn each(&self, taps: &mut [Moments], levels: &[u32], add: impl Fn(&mut Moments, &[u32])) {
-        let mut rest = levels;
+    /// Adds to the moments of each tap its own part of `values`.
+    fn each<T>(&self, taps: &mut [Moments], values: &[T], mut add: impl FnMut(&mut Moments, &[T])) {
+        let mut rest = values;
         for (moments, &energies) in taps.iter_mut().zip(&self.energies) {
             let (own, others) = rest.split_at(energies);
             add(moments, own);
-            rest = others;
-        }
-    }
-
-    fn each_difference(&self, taps: &mut [Moments], differences: &[f64], levels: &mut [u32]) {
-        let mut rest = differences;
-        for (moments, &energies) in taps.iter_mut().zip(&self.energies) {
-            let (own, others) = rest.split_at(energies);
-            moments.add_differences(own, &mut levels[..energies]);
             rest = others;
         }
     }

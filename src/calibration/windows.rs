@@ -105,7 +105,7 @@ impl<'a> Part<'a> {
         &self,
         wanted: Target,
         components: &[Component],
-        mut each: impl FnMut(Duration, &Evidence),
+        mut each: impl FnMut(Duration, &Evidence, &mut Scorer),
     ) -> Result<(), CalibrationError> {
         let common_size = self.survey.common_size;
         let mut scorer = Scorer::of(
@@ -124,7 +124,7 @@ impl<'a> Part<'a> {
                 .observe(at, &frame.maps, &frame.means)
                 .map_err(|why| self.wrong(index, why))?;
             looks.judged(at, evidence.judgement(), Some(evidence.score()));
-            each(at, &evidence);
+            each(at, &evidence, &mut scorer);
         }
         Ok(())
     }
@@ -136,7 +136,7 @@ impl<'a> Part<'a> {
         components: &[Component],
     ) -> Result<DriveScores, CalibrationError> {
         let mut drive = DriveScores::default();
-        self.evidence(wanted, components, |at, evidence| {
+        self.evidence(wanted, components, |at, evidence, _| {
             drive.add_evidence(at, &Ok(evidence.clone()));
         })?;
         Ok(drive)
@@ -149,7 +149,7 @@ impl<'a> Part<'a> {
         components: &[Component],
     ) -> Result<Vec<DriveScores>, CalibrationError> {
         let mut drives = vec![DriveScores::default(); PARTS_MAX];
-        self.evidence(wanted, components, |at, evidence| {
+        self.evidence(wanted, components, |at, evidence, _| {
             for (part, drive) in evidence.parts.iter().zip(&mut drives) {
                 // What is not known is no evidence.
                 drive.add(at, part.unwrap_or(0.0), evidence.fill >= 1.0);

@@ -17,7 +17,7 @@ use gapwatch::reference::gap::Metric;
 pub use lab::*;
 pub use model::ModelArgs;
 pub use values::TableFormat;
-use values::{SOURCES, rate, seconds, whole};
+use values::{SOURCES, frames_a_second, rate, seconds, whole};
 
 /// Watches the road through a lane model's own encoder, and warns on CAN when the road has left the domain that the
 /// model knows.
@@ -196,10 +196,10 @@ pub struct CalibrateArgs {
     #[arg(long, value_name = "NAME", default_value_t = EvidenceKind::Windows)]
     pub evidence: EvidenceKind,
     /// Frames a second that will be judged, for which the thresholds are made; drives with more frames are thinned
-    #[arg(long, value_name = "HZ", default_value_t = 10.0, value_parser = rate)]
+    #[arg(long, value_name = "HZ", default_value_t = 10.0, value_parser = frames_a_second)]
     pub rate: f64,
     /// Frames a second that will be judged while the road is clearly nominal (default: --rate)
-    #[arg(long, value_name = "HZ", value_parser = rate)]
+    #[arg(long, value_name = "HZ", value_parser = frames_a_second)]
     pub idle_rate: Option<f64>,
     /// Folder that keeps what the encoder sees of each drive, one file for each drive, for later runs and for gapwatch
     /// merge: about 4 KB a frame of the built-in model, 25 KB for histograms (default: a temporary folder in $TMPDIR or

@@ -1,20 +1,15 @@
 //! What `monitor` and `doctor` ask of a board beyond its file: rates and a reference that go together.
 
 use std::path::Path;
-use std::time::Duration;
 
 use anyhow::bail;
 use gapwatch::live::board::Board;
-use gapwatch::reference::{JudgedRate, Periods, Reference};
+use gapwatch::reference::{Periods, Reference};
 
 /// The board's rates. A window must hold more than one frame at the slow rate, so that the time between them is not an
 /// interruption.
 pub fn periods(board: &Board, reference: &Reference, file: &Path) -> anyhow::Result<Periods> {
-    let period = |rate_hz: f64| Duration::from_secs_f64(1.0 / rate_hz);
-    let periods = Periods {
-        full: period(board.monitor.rate_hz),
-        idle: period(board.monitor.idle_rate_hz),
-    };
+    let periods = board.monitor.rate().periods();
     if periods.idle.as_secs_f64() > reference.window_s {
         bail!(
             "{}: idle_rate_hz = {}, but the reference has windows of {} s; wanted at least {:.2} frames a second",
@@ -29,10 +24,7 @@ pub fn periods(board: &Board, reference: &Reference, file: &Path) -> anyhow::Res
 
 /// What is to be said if the board judges at other rates than those for which the reference has thresholds.
 pub fn other_rate(board: &Board, reference: &Reference) -> Option<String> {
-    let rate = JudgedRate {
-        rate_hz: board.monitor.rate_hz,
-        idle_rate_hz: board.monitor.idle_rate_hz,
-    };
+    let rate = board.monitor.rate();
     (!rate.is_like(reference.rate)).then(|| {
         format!(
             "judged at {rate}, but the thresholds are made for {}: the rate of false alarms is not known",

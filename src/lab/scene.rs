@@ -54,7 +54,7 @@ pub use drive::Drive;
 pub use overlay::lay_over;
 pub use render::{Labelled, Renderer};
 pub use source::open;
-pub use spec::{DriveSpec, SpecError};
+pub use spec::{DriveSpec, SpecError, stretch_m};
 pub use world::{Element, Look, World, WorldError};
 
 /// Seed of the drive and time in it, seconds, of scene `index` of the scene set `set`. Each scene is one moment of
@@ -80,7 +80,8 @@ mod tests {
         (scene.rgb.to_vec(), scene.mask.to_vec())
     }
 
-    fn difference(a: &[u8], b: &[u8]) -> f64 {
+    /// Mean difference of two pictures.
+    pub fn difference(a: &[u8], b: &[u8]) -> f64 {
         let sum: u64 = a
             .iter()
             .zip(b)

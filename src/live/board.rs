@@ -13,6 +13,7 @@ use crate::can::{CanSettings, CanSettingsError, LARGEST_ID, MessageIds, Sink};
 use crate::capture::{CAMERA_FORMATS, CameraWish, camera_of};
 use crate::files::toml_keys::{self, Document, Keys, Kind, Wrong};
 use crate::files::whole_file::read_text;
+use crate::reference::JudgedRate;
 
 pub use evidence::{EvidenceBoard, KEEP};
 
@@ -113,6 +114,16 @@ pub struct MonitorBoard {
     /// Frames a second while the road is clearly nominal or the car is parked; the same as `rate_hz` unless the board
     /// gives less.
     pub idle_rate_hz: f64,
+}
+
+impl MonitorBoard {
+    /// How often the road is judged.
+    pub fn rate(&self) -> JudgedRate {
+        JudgedRate {
+            rate_hz: self.rate_hz,
+            idle_rate_hz: self.idle_rate_hz,
+        }
+    }
 }
 
 /// What a frame may cost.

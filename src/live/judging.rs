@@ -104,17 +104,7 @@ mod tests {
             at: at * MS,
             sequence: at.into(),
             quality: None,
-            evidence: Ok(Evidence {
-                gap: score,
-                change: None,
-                parts: heapless::Vec::new(),
-                blocks: heapless::Vec::new(),
-                component: 0,
-                drift: 0.0,
-                frames: 10,
-                fill: 1.0,
-                cause: None,
-            }),
+            evidence: Ok(Evidence::of_gap(score)),
         }
     }
 

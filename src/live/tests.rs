@@ -290,15 +290,9 @@ impl World {
                 Err(Undefined::Black)
             } else {
                 Ok(Evidence {
-                    gap: score,
-                    change: None,
-                    parts: heapless::Vec::new(),
-                    blocks: heapless::Vec::new(),
-                    component: 0,
                     drift,
-                    frames: 10,
                     fill,
-                    cause: None,
+                    ..Evidence::of_gap(score)
                 })
             },
         }

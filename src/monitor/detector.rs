@@ -262,7 +262,7 @@ impl Detector {
         let mut nearest: Option<Evidence> = None;
         let mut sums = self.sums.as_slice();
         for (index, component) in self.components.iter().enumerate() {
-            let len = component.taps.iter().map(|tap| tap.nominal.len()).sum();
+            let len = Component::taken_len(std::slice::from_ref(component));
             let (own, rest) = sums.split_at(len);
             sums = rest;
             let blocks = blocks(self.metric, component, own, self.times.len())?;
@@ -310,15 +310,10 @@ impl Detector {
             return Vec::new();
         };
         let (before, rest) = self.components.split_at(nearest);
-        let mut sums = &self.sums[Component::taken_len(before)..];
-        let taps = rest.first().map_or(&[][..], |component| &component.taps);
-        taps.iter()
-            .zip(&self.spreads[nearest])
-            .map(|(tap, spread)| {
-                let (own, rest) = sums.split_at(tap.nominal.len());
-                sums = rest;
-                TapProfile::new(tap, spread, own, self.times.len())
-            })
+        let sums = &self.sums[Component::taken_len(before)..];
+        let taps = rest.first().into_iter().flat_map(|of| of.by_tap(sums));
+        taps.zip(&self.spreads[nearest])
+            .map(|((tap, own), spread)| TapProfile::new(tap, spread, own, self.times.len()))
             .collect()
     }
 
@@ -346,13 +341,11 @@ impl Detector {
 fn blocks(
     metric: Metric,
     component: &Component,
-    mut sums: &[u64],
+    sums: &[u64],
     frames: usize,
 ) -> Result<heapless::Vec<BlockScore, TAPS_MAX>, Undefined> {
     let mut blocks = heapless::Vec::new();
-    for tap in &component.taps {
-        let (live, rest) = sums.split_at(tap.nominal.len());
-        sums = rest;
+    for (tap, live) in component.by_tap(sums) {
         let compared = tap.nominal.compare(metric, live, frames)?;
         let (median, threshold) = tap.scale_for(frames);
         let score = (compared.gap - median) / (threshold - median);
@@ -377,6 +370,24 @@ fn keep_least(least: &mut Option<SpanScore>, found: SpanScore) {
 }
 
 #[cfg(test)]
+impl Evidence {
+    /// A full window of ten frames with this score, and nothing else.
+    pub fn of_gap(gap: f64) -> Self {
+        Self {
+            gap,
+            change: None,
+            parts: heapless::Vec::new(),
+            blocks: heapless::Vec::new(),
+            component: 0,
+            drift: 0.0,
+            frames: 10,
+            fill: 1.0,
+            cause: None,
+        }
+    }
+}
+
+#[cfg(test)]
 mod tests {
     #![allow(
         clippy::unwrap_used,
@@ -392,15 +403,9 @@ mod tests {
     #[test]
     fn a_score_goes_before_a_drift_and_a_full_window_settles() {
         let evidence = |score, drift, fill| Evidence {
-            gap: score,
-            change: None,
-            parts: heapless::Vec::new(),
-            blocks: heapless::Vec::new(),
-            component: 0,
             drift,
-            frames: 1,
             fill,
-            cause: None,
+            ..Evidence::of_gap(score)
         };
         let score = |score, settled| Judgement::Score { score, settled };
         for (found, wanted) in [

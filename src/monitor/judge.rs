@@ -23,6 +23,16 @@ pub struct Sighting {
     pub evidence: Result<Evidence, Undefined>,
 }
 
+impl Sighting {
+    /// What the frame contributes to the alarm.
+    pub fn judgement(&self) -> Judgement {
+        match &self.evidence {
+            Ok(evidence) => evidence.judgement(),
+            Err(why) => Judgement::Cannot(Reason::from(why)),
+        }
+    }
+}
+
 /// What is known after a frame.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Verdict {
@@ -114,11 +124,7 @@ impl Judge {
 
     /// What is known after a frame.
     pub fn judge(&mut self, seen: Sighting) -> Verdict {
-        let judgement = match &seen.evidence {
-            Ok(evidence) => evidence.judgement(),
-            Err(why) => Judgement::Cannot(Reason::from(why)),
-        };
-        self.alarm.step(seen.at, judgement);
+        self.alarm.step(seen.at, seen.judgement());
         let told = seen.evidence.as_ref().ok().and_then(|of| of.cause);
         self.keep_cause(told);
         let (evidence, undefined) = match seen.evidence {
@@ -211,15 +217,8 @@ mod tests {
             sequence: number.into(),
             quality: None,
             evidence: Ok(Evidence {
-                gap,
-                change: None,
-                parts: heapless::Vec::new(),
-                blocks: heapless::Vec::new(),
-                component: 0,
-                drift: 0.0,
-                frames: 10,
-                fill: 1.0,
                 cause,
+                ..Evidence::of_gap(gap)
             }),
         }
     }

@@ -9,7 +9,7 @@ use crate::monitor::detector::{Detector, Evidence};
 use crate::monitor::extraction::Extraction;
 use crate::monitor::profile::TapProfile;
 use crate::reference::gap::Metric;
-use crate::reference::{Component, Reference};
+use crate::reference::{Component, Explained, Reference};
 
 /// Compares frames with some nominal domains. Keeps its buffers.
 pub struct Scorer {
@@ -90,6 +90,11 @@ impl Scorer {
     /// Why the frame cannot be judged.
     pub fn detect(&mut self, at: Duration) -> Result<Evidence, Undefined> {
         self.detector.observe(at, &self.taken)
+    }
+
+    /// See [`Detector::deviation`].
+    pub fn deviation(&mut self, explained: Explained, domain: usize) -> Option<&[f64]> {
+        self.detector.deviation(explained, domain)
     }
 
     /// The window beside what is nominal, one entry for each tap; empty if it cannot be judged.

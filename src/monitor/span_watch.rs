@@ -163,15 +163,12 @@ impl SpanWatch {
     /// What the span with this index says of a nominal domain; `None` while it is not known.
     pub fn score(&mut self, span: usize, component: &Component) -> Option<SpanScore> {
         let of = self.spans.get(span).filter(|span| span.is_known)?;
-        let mut levels = of.levels.as_slice();
         let unrest = of.unrest.level();
         let mut found = SpanScore {
             score: f64::NEG_INFINITY,
             ..SpanScore::of(0.0)
         };
-        for tap in &component.taps {
-            let (own, rest) = levels.split_at(tap.nominal.len());
-            levels = rest;
+        for (tap, own) in component.by_tap(&of.levels) {
             let norm: &SpanNorm = tap.spans.get(span)?;
             let distance = norm.norm.distance_of(own, &mut self.deviations);
             found.relative = found

@@ -470,6 +470,18 @@ impl Component {
         self.taps.first().map_or(0, |tap| tap.spans.len())
     }
 
+    /// Each tap with its own part of `values`, which are those of all taps, one after the other.
+    pub fn by_tap<'a, T>(
+        &'a self,
+        mut values: &'a [T],
+    ) -> impl Iterator<Item = (&'a TapReference, &'a [T])> {
+        self.taps.iter().map(move |tap| {
+            let (own, rest) = values.split_at(tap.nominal.len());
+            values = rest;
+            (tap, own)
+        })
+    }
+
     /// How many numbers some domains take from a frame.
     pub fn taken_len(components: &[Self]) -> usize {
         let taps = components.iter().flat_map(|component| &component.taps);

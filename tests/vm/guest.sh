@@ -130,14 +130,15 @@ random() {
   echo $((seed / 65536 % $1))
 }
 
-# soak SEED SECONDS: faults at random, each with a nominal road behind it, which must be long enough for any.
+# soak SEED SECONDS: a night, so that the shortest soak has one, then faults at random, each with a nominal road behind it, which
+# must be long enough for any.
 soak() {
   seed=$1
+  kind=12
   until=$(($(date +%s) + $2))
   while [ "$(date +%s)" -lt $until ]; do
     lasting=$((1 + $(random 2))).$(random 10)
-    seed=$(((seed * 1103515245 + 12345) & 0x7fffffff))
-    case $((seed / 65536 % 13)) in
+    case $kind in
       0) show black && sleep $lasting && show nominal ;;
       1) show grey && sleep $lasting && show nominal ;;
       2) show frozen && sleep $lasting && show nominal ;;
@@ -151,6 +152,8 @@ soak() {
       10) mark paused && kill -STOP $monitor && sleep $lasting && mark nominal && kill -CONT $monitor ;;
       *) show night && sleep 4 && show nominal && sleep 6 ;;
     esac
+    seed=$(((seed * 1103515245 + 12345) & 0x7fffffff))
+    kind=$((seed / 65536 % 13))
     sleep 3.5
     grep VmRSS /proc/$monitor/status >>soak-memory.log
   done

@@ -6,12 +6,12 @@ use std::str::FromStr;
 use clap::{Args, ValueEnum};
 use gapwatch::calibration::{PaperBinning, Temperature};
 use gapwatch::capture::pixels::PixelFormat;
-use gapwatch::lab::scene::{Condition, Element, Look};
+use gapwatch::lab::scene::{Condition, Element, Look, stretch_m};
 use gapwatch::model::encoder::Executor;
 use gapwatch::reference::gap::Metric;
 
 use super::model::ModelArgs;
-use super::values::{SOURCES, TableFormat, rate, whole};
+use super::values::{SOURCES, TableFormat, frames_a_second, whole};
 
 /// Compare image sets with the first one
 #[derive(Debug, Args)]
@@ -121,7 +121,7 @@ pub struct EvaluateArgs {
     #[arg(long, value_name = "METRES", default_value_t = 0, value_parser = stretch)]
     pub stretch: u32,
     /// For false_alarms: frames a second of the drives (default: the rate that the reference names)
-    #[arg(long, value_name = "HZ", value_parser = rate)]
+    #[arg(long, value_name = "HZ", value_parser = frames_a_second)]
     pub fps: Option<f64>,
     /// Number of drives for each event
     #[arg(long, value_name = "N", conflicts_with = "quick", value_parser = whole::<u32>(1..=10_000))]
@@ -151,6 +151,13 @@ pub struct EvaluateArgs {
     /// Show the results of these files, and evaluate nothing
     #[arg(long, value_name = "FILE", num_args = 1.., conflicts_with_all = ["model", "quick", "reference", "drives", "hours", "scenes", "field", "out"])]
     pub from: Vec<PathBuf>,
+}
+
+impl EvaluateArgs {
+    /// The number of drives for each event: as asked for, else that of the full or of the quick evaluation.
+    pub fn drives_or(&self, (full, quick): (u32, u32)) -> u32 {
+        self.drives.unwrap_or(if self.quick { quick } else { full })
+    }
 }
 
 /// Format of results.
@@ -402,10 +409,6 @@ fn temperature(text: &str) -> Result<Temperature, String> {
     .ok_or_else(|| "wanted a temperature above 0, as in 10 or 0.2peak".to_owned())
 }
 
-fn stretch(text: &str) -> Result<u32, String> {
-    let metres = text.parse().map_err(|_| "wanted whole metres")?;
-    match metres {
-        0 | 100..=10_000 => Ok(metres),
-        _ => Err("wanted 0 or 100 to 10000 metres".to_owned()),
-    }
+fn stretch(text: &str) -> Result<u32, &'static str> {
+    stretch_m(text).ok_or("wanted 0 or 100 to 10000 metres")
 }

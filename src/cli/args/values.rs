@@ -71,6 +71,11 @@ pub fn rate(text: &str) -> Result<f64, String> {
     rate.ok_or_else(|| "wanted entries an hour from 0.000001 to 3600".to_owned())
 }
 
+pub fn frames_a_second(text: &str) -> Result<f64, String> {
+    let rate = text.parse().ok().filter(|r| (0.1..=240.0).contains(r));
+    rate.ok_or_else(|| "wanted frames a second from 0.1 to 240".to_owned())
+}
+
 /// Parses a whole number in a range; the error says what was wanted.
 pub fn whole<T>(
     range: RangeInclusive<T>,

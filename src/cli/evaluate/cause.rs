@@ -23,11 +23,7 @@ const DRIVES: (u32, u32) = (20, 1);
 
 /// Judges every event on its drives.
 pub fn rows(watched: &Watched, args: &EvaluateArgs) -> anyhow::Result<Vec<Row<ToldCauses>>> {
-    let drives = match (args.drives, args.quick) {
-        (Some(drives), _) => drives,
-        (None, true) => DRIVES.1,
-        (None, false) => DRIVES.0,
-    };
+    let drives = args.drives_or(DRIVES);
     let events = Event::all(args.look);
     let scripts: Vec<Script> = events
         .iter()

@@ -61,6 +61,11 @@ fn command(key: EvaluateKey, args: &EvaluateArgs) -> String {
         if args.look != Look::Sim {
             words.push(format!("--look {}", args.look));
         }
+        if args.stretch > 0 {
+            words.push(format!("--stretch {}", args.stretch));
+        }
+        let fps = args.fps.filter(|_| key == EvaluateKey::FalseAlarms);
+        words.extend(fps.map(|fps| format!("--fps {fps}")));
     }
     if let Some(path) = &args.out {
         words.push(format!("--out {}", portable(path)));
@@ -85,5 +90,27 @@ mod tests {
         assert_eq!(said("calibration/sim.json"), "calibration/sim.json");
         assert_eq!(said("/home/me/r.json"), "r.json");
         assert_eq!(said("../r.json"), "r.json");
+    }
+
+    #[test]
+    fn the_roads_and_the_rate_are_in_the_command() {
+        let args = |words: &str| {
+            use clap::Parser as _;
+            #[derive(clap::Parser)]
+            struct Typed {
+                #[command(flatten)]
+                args: EvaluateArgs,
+            }
+            Typed::parse_from(words.split(' ')).args
+        };
+        let args = args("evaluate --stretch 800 --fps 2 --hours 6 --drives 4");
+        assert_eq!(
+            command(EvaluateKey::FalseAlarms, &args),
+            "gapwatch evaluate --only false_alarms --hours 6 --stretch 800 --fps 2"
+        );
+        assert_eq!(
+            command(EvaluateKey::Cause, &args),
+            "gapwatch evaluate --only cause --drives 4 --stretch 800"
+        );
     }
 }

@@ -27,11 +27,7 @@ const RATES: [f64; 2] = [1.0, 0.1];
 
 /// Judges every event on its drives, at every rate.
 pub fn rows(watched: &Watched, args: &EvaluateArgs) -> anyhow::Result<Vec<Row<Detection>>> {
-    let drives = match (args.drives, args.quick) {
-        (Some(drives), _) => drives,
-        (None, true) => DRIVES.1,
-        (None, false) => DRIVES.0,
-    };
+    let drives = args.drives_or(DRIVES);
     let events = Event::all(args.look);
     let mut rows = Vec::new();
     for from_start in [false, true] {

@@ -21,7 +21,7 @@ const SPLICE_S: f64 = 40.0;
 pub const AFTER_S: f64 = 3.0;
 /// Length of a drive after the onset, seconds.
 const REST_S: f64 = 10.0;
-/// First seed of the drives, which are not used in any calibration, training or other evaluation.
+/// First seed of the drives, which are not used in any calibration of the shipped reference and in no training.
 pub const FIRST_SEED: u64 = 60_001;
 /// Distance of the seeds of the roads that are changed to.
 const OTHER_SEEDS: u64 = 5_000;

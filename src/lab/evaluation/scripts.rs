@@ -10,7 +10,7 @@ use crate::capture::pixels::Pixels;
 use crate::capture::{Frame, Picture};
 use crate::lab::scene::{Condition, Drive, Look, Renderer, World};
 use crate::model::encoder::{Encoder, EncoderError};
-use crate::monitor::alarm::{Judgement, Reason};
+use crate::monitor::detector::Evidence;
 use crate::monitor::judge::{Judge, Sighting, Verdict};
 use crate::monitor::pipeline::Sight;
 use crate::monitor::rate::Looks;
@@ -161,11 +161,8 @@ impl Script {
                     rgb,
                 })),
             });
-            let (judgement, score) = match &seen.evidence {
-                Ok(of) => (of.judgement(), Some(of.score())),
-                Err(why) => (Judgement::Cannot(Reason::from(why)), None),
-            };
-            looks.judged(seen.at, judgement, score);
+            let score = seen.evidence.as_ref().ok().map(Evidence::score);
+            looks.judged(seen.at, seen.judgement(), score);
             each(seen);
         }
         Ok(())

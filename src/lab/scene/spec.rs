@@ -132,8 +132,8 @@ impl FromStr for DriveSpec {
     }
 }
 
-/// Reads the mean length of a stretch, whole metres.
-fn stretch_m(text: &str) -> Option<u32> {
+/// Reads the mean length of a stretch, whole metres: 0 or 100 to 10000.
+pub fn stretch_m(text: &str) -> Option<u32> {
     let stretch_m = text.parse().ok()?;
     (stretch_m == 0 || (100..=10_000).contains(&stretch_m)).then_some(stretch_m)
 }

@@ -245,6 +245,7 @@ impl<'a> Way<'a> {
 mod tests {
     #![allow(clippy::unwrap_used, clippy::cast_precision_loss)]
 
+    use super::super::tests::difference;
     use super::super::{Condition, Drive, Element, Look, Renderer, World};
 
     const SIZE: (u32, u32) = (160, 80);
@@ -260,15 +261,6 @@ mod tests {
         let mut renderer = Renderer::new(SIZE.0, SIZE.1);
         let scene = renderer.render(drive, t_s);
         (scene.rgb.to_vec(), scene.mask.to_vec())
-    }
-
-    fn difference(a: &[u8], b: &[u8]) -> f64 {
-        let sum: u64 = a
-            .iter()
-            .zip(b)
-            .map(|(a, b)| u64::from(a.abs_diff(*b)))
-            .sum();
-        sum as f64 / a.len() as f64
     }
 
     #[test]
