@@ -17,6 +17,7 @@ mod layers;
 mod merge;
 mod monitor;
 mod oracle;
+mod oracle_spans;
 mod power_cuts;
 mod python;
 mod recording;
