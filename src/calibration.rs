@@ -17,6 +17,7 @@ mod timed;
 
 mod fitting;
 mod spans;
+mod thresholds;
 
 mod calibrate;
 

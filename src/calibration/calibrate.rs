@@ -3,12 +3,12 @@
 use std::time::Duration;
 
 use super::drive::{LabelledDrive, SurveyedDrive};
-use super::error::{CalibrationError, wrong};
-use super::false_alarms::{self, DriveScores};
+use super::error::CalibrationError;
 use super::fitting::{Fitting, epsilons_of};
 use super::spans;
-use super::stretch::{Split, Stretch, look_at_all, split};
+use super::stretch::{Stretch, Usage, look_at_all};
 use super::target::Target;
+use super::thresholds;
 use super::timed::TimedMoments;
 use crate::capture::undefined::Undefined;
 use crate::reference::gap::Metric;
@@ -59,25 +59,36 @@ pub fn looks<D: SurveyedDrive, L: LabelledDrive>(
         _ => 2,
     };
     let (mut fitted, mut scaled) = (0, 0);
-    for split in domains.iter().flat_map(|domain| split(domain.drives)) {
-        fitted += usize::from(split.fitted > 0);
-        scaled += usize::from(split.fitted < split.drive.frames());
+    for (index, domain) in domains.iter().enumerate() {
+        let usage = usage(index, domain.drives);
+        let of_folds = usage.folds.iter().filter_map(|fold| fold.fitted.as_ref());
+        fitted += usage.fitted.len() + of_folds.map(Vec::len).sum::<usize>();
+        scaled += usage
+            .folds
+            .iter()
+            .map(|fold| fold.scaled.len())
+            .sum::<usize>();
     }
     let scored = if held_out.is_empty() {
         scaled
     } else {
         held_out.len()
     };
-    // With spans, drives are scaled and scored twice; whether there will be spans is known later. Their rate is looked at
-    // before.
-    let times = if wanted.is_timed() { 2 } else { 1 };
-    (of_fitted * fitted + times * (scaled + scored) + scored + labelled.len()) as u64
+    // With spans, drives are scaled twice; whether there will be spans is known later. Drives are scored once more with
+    // spans or several domains. Their rate is looked at before.
+    let scalings = if wanted.is_timed() { 2 } else { 1 };
+    let scorings = if wanted.is_timed() || domains.len() > 1 {
+        3
+    } else {
+        2
+    };
+    (of_fitted * fitted + scalings * scaled + scorings * scored + labelled.len()) as u64
 }
 
 /// Makes the nominal domains of a reference and the thresholds that keep the wanted rate of false alarms.
 ///
-/// The first domain is the simulation. Every second drive of each domain makes histograms or moments, and the others
-/// scale the gaps of windows. The rate is set on three of every four drives of `held_out` and judged on the fourth.
+/// The first domain is the simulation: every second drive makes histograms or moments, and the others scale the gaps of
+/// windows. Every frame of an accepted domain does both, in turn. The rate is set on three of every four drives of `held_out` and judged on the fourth.
 /// Without held-out drives, the rate is set on the drives that scale the gaps, and the reference says so. `labelled`
 /// frames are only for the metric `lane-risk`.
 ///
@@ -98,70 +109,63 @@ pub fn calibrate<D: SurveyedDrive, L: LabelledDrive>(
     let mut scaling: Vec<Stretch<'_, D>> = Vec::new();
     let mut simulation: Option<Learnt> = None;
     for (index, domain) in domains.iter().enumerate() {
-        let splits = split(domain.drives);
-        sources.extend(splits.iter().map(|split| SourceUse {
-            source: split.drive.source().to_owned(),
-            role: Some(match index {
-                0 => Role::Simulation,
-                _ => Role::Accepted,
-            }),
-            frames: split.drive.frames() as u64,
-            fitted: split.fitted as u64,
-            held_out: split.rest().range.len() as u64,
+        let usage = usage(index, domain.drives);
+        sources.extend(domain.drives.iter().map(|drive| {
+            let (fitted, held_out) = usage.frames_of(drive);
+            SourceUse {
+                source: drive.source().to_owned(),
+                role: Some(match index {
+                    0 => Role::Simulation,
+                    _ => Role::Accepted,
+                }),
+                frames: drive.frames() as u64,
+                fitted: fitted as u64,
+                held_out: held_out as u64,
+            }
         }));
-        let some = |stretch: &Stretch<'_, D>| !stretch.range.is_empty();
-        let fitted: Vec<_> = splits.iter().map(Split::fitted).filter(some).collect();
-        let scaled: Vec<_> = splits.iter().map(Split::rest).filter(some).collect();
-        let found: usize = scaled.iter().map(|stretch| stretch.range.len()).sum();
+        let scaled = usage.folds.iter().flat_map(|fold| &fold.scaled);
+        let found: usize = scaled.map(|stretch| stretch.range.len()).sum();
         if found < HELD_OUT_MIN {
             return Err(CalibrationError::TooFew(Undefined::TooFewImages {
                 found,
                 wanted: HELD_OUT_MIN,
             }));
         }
-        let fitting = Fitting {
-            fitted: &fitted,
-            taps,
-            metric: wanted.metric,
+        let fit = |fitted: &[Stretch<'_, D>]| {
+            let fitting = Fitting {
+                fitted,
+                taps,
+                metric: wanted.metric,
+            };
+            fitted_component(
+                &domain.name,
+                &fitting,
+                &components,
+                simulation.as_ref(),
+                labelled,
+                wanted,
+            )
         };
-        let (mut timed, mut epsilons_in_use) = (None, Vec::new());
-        let taps = match wanted.metric.divergence() {
-            Some(_) => fitting.histograms()?,
-            None => {
-                let peaks = fitting.median_peaks()?;
-                let epsilons = epsilons_of(&peaks, components.first());
-                let learnt = Learnt::of(&fitting, epsilons, wanted)?;
-                let taps = fitting.energies(
-                    &peaks,
-                    &learnt.epsilons,
-                    &learnt.moments,
-                    simulation.as_ref().map(|of| of.moments.as_slice()),
-                    labelled,
-                )?;
-                timed = learnt.timed.clone();
-                epsilons_in_use.clone_from(&learnt.epsilons);
-                simulation.get_or_insert(learnt);
-                taps
-            }
-        };
-        let mut component = Component {
-            name: domain.name.clone(),
-            taps,
-        };
-        let of_simulation = (index > 0)
-            .then(|| simulation.as_ref().and_then(|of| of.timed.as_ref()))
-            .flatten();
-        let timed = match components.first() {
-            None => timed.filter(spans::are_long_enough),
-            Some(first) => timed.filter(|_| first.spans() > 0),
-        };
-        scale(&mut component, &scaled, wanted)?;
-        if let Some(timed) = timed {
-            spans::fit(&mut component, &epsilons_in_use, &timed, of_simulation)?;
-            spans::scale(&mut component, &scaled, components.first())?;
+        let (mut component, learnt) = fit(&usage.fitted)?;
+        let (mut of_folds, mut scaled) = (Vec::new(), Vec::new());
+        for fold in usage.folds {
+            let own = fold.fitted.map(|fitted| fit(&fitted)).transpose()?;
+            of_folds.push(own.map_or_else(|| component.clone(), |(own, _)| own));
+            scaled.push(fold.scaled);
+        }
+        let folds: Vec<(&Component, &[Stretch<'_, D>])> = of_folds
+            .iter()
+            .zip(scaled.iter().map(Vec::as_slice))
+            .collect();
+        scale(&mut component, &folds, wanted)?;
+        if component.spans() > 0 {
+            spans::scale(&mut component, &folds, components.first())?;
+        }
+        if index == 0 {
+            simulation = learnt;
         }
         components.push(component);
-        scaling.extend(scaled);
+        scaling.extend(scaled.into_iter().flatten());
     }
     sources.extend(held_out.iter().map(|drive| SourceUse {
         source: drive.source().to_owned(),
@@ -178,31 +182,62 @@ pub fn calibrate<D: SurveyedDrive, L: LabelledDrive>(
     let frames_hz = median(frames_hz.into_iter().flatten().collect());
     let rate = frames_hz.map_or(wanted.rate, |hz| wanted.rate.at_most(hz));
     let wanted = Target { rate, ..wanted };
-    let spans = components.first().map_or(0, Component::spans);
-    if spans > 0 {
-        // Every part of the evidence has the same share of the false alarms.
-        let of_parts = look_at_all(&scaling, |part| part.scores_of_parts(wanted, &components))?;
-        #[allow(clippy::cast_precision_loss)]
-        let share = wanted.false_alarms_per_hour / (1 + spans) as f64;
-        for part in 0..=spans {
-            let drives: Vec<DriveScores> = of_parts.iter().map(|of| of[part].clone()).collect();
-            let factor = false_alarms::factor(&drives, share, optimistic);
-            let taps = components.iter_mut().flat_map(|of| &mut of.taps);
-            taps.for_each(|tap| tap.widen(part, factor));
-        }
-    }
-    let drives = look_at_all(&scaling, |part| part.scores(wanted, &components))?;
-    let false_alarms = false_alarms::calibrated(&drives, wanted.false_alarms_per_hour, optimistic);
-    let taps = components.iter_mut().flat_map(|of| &mut of.taps);
-    for tap in taps {
-        (0..=spans).for_each(|part| tap.widen(part, false_alarms.factor));
-    }
+    let false_alarms = thresholds::set(&mut components, &scaling, wanted, optimistic)?;
     Ok(Calibrated {
         components,
         false_alarms,
         sources,
         rate,
     })
+}
+
+/// How the frames of the domain with this number are used.
+fn usage<D: SurveyedDrive>(index: usize, drives: &[D]) -> Usage<'_, D> {
+    match index {
+        0 => Usage::halves(drives),
+        _ => Usage::crossed(drives),
+    }
+}
+
+/// What is nominal in a domain, with distances that are not scaled yet, and what the next domains need of it. `simulation`
+/// is given for an accepted domain, which comes after some `components`.
+fn fitted_component<D: SurveyedDrive, L: LabelledDrive>(
+    name: &str,
+    fitting: &Fitting<'_, D>,
+    components: &[Component],
+    simulation: Option<&Learnt>,
+    labelled: &[L],
+    wanted: Target,
+) -> Result<(Component, Option<Learnt>), CalibrationError> {
+    let mut component = Component {
+        name: name.to_owned(),
+        taps: Vec::new(),
+    };
+    if wanted.metric.divergence().is_some() {
+        component.taps = fitting.histograms()?;
+        return Ok((component, None));
+    }
+    let peaks = fitting.median_peaks()?;
+    let learnt = Learnt::of(fitting, epsilons_of(&peaks, components.first()), wanted)?;
+    component.taps = fitting.energies(
+        &peaks,
+        &learnt.epsilons,
+        &learnt.moments,
+        simulation.map(|of| of.moments.as_slice()),
+        labelled,
+    )?;
+    let timed = match components.first() {
+        None => learnt
+            .timed
+            .as_ref()
+            .filter(|of| spans::are_long_enough(of)),
+        Some(first) => learnt.timed.as_ref().filter(|_| first.spans() > 0),
+    };
+    if let Some(timed) = timed {
+        let of_simulation = simulation.and_then(|of| of.timed.as_ref());
+        spans::fit(&mut component, &learnt.epsilons, timed, of_simulation)?;
+    }
+    Ok((component, Some(learnt)))
 }
 
 /// Frames a second, from the median time between frames; `None` without two frames.
@@ -244,28 +279,20 @@ impl Learnt {
     }
 }
 
-/// Scales the gaps of a domain with the gaps of windows of its own drives.
+/// Scales the gaps of a domain with the gaps of windows of its own drives, each from what its fold has fitted.
 fn scale<D: SurveyedDrive>(
     component: &mut Component,
-    scaled: &[Stretch<'_, D>],
+    folds: &[(&Component, &[Stretch<'_, D>])],
     wanted: Target,
 ) -> Result<(), CalibrationError> {
-    let own = std::slice::from_ref(&*component);
     // [drives][taps][window lengths][windows]
-    let gaps = look_at_all(scaled, |part| {
-        let track = part.track(wanted.metric, own)?;
-        let mut from = 0;
-        let of_taps = own[0].taps.iter().map(|tap| {
-            let columns = from..from + tap.nominal.len();
-            from = columns.end;
-            let lengths = WINDOW_FRAMES
-                .iter()
-                .map(|&frames| track.gaps(columns.clone(), frames, &tap.nominal, wanted));
-            let gaps: Result<Vec<_>, _> = lengths.collect();
-            gaps.map_err(|why| wrong(&tap.tap, wanted.metric, why))
-        });
-        of_taps.collect::<Result<Vec<_>, _>>()
-    })?;
+    let mut gaps = Vec::new();
+    for &(own, scaled) in folds {
+        let own = std::slice::from_ref(own);
+        gaps.extend(look_at_all(scaled, |part| {
+            part.gaps(wanted, own, &WINDOW_FRAMES)
+        })?);
+    }
     for (index, tap) in component.taps.iter_mut().enumerate() {
         let points = WINDOW_FRAMES.into_iter().enumerate();
         tap.scale = points

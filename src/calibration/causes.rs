@@ -141,6 +141,9 @@ fn of_cause(
     wanted: Target,
 ) -> Result<Samples, CalibrationError> {
     let name = cause_of(part.source()).map_err(CalibrationError::Causes)?;
+    let span_s = Span::ALL
+        .get(Explained::span())
+        .map_or(0.0, |span| span.length_s());
     let mut samples = Samples {
         cause: name.cause,
         fits: false,
@@ -160,14 +163,14 @@ fn of_cause(
             keep(Explained::Gap, &mut samples.gap);
         }
     })?;
-    if samples.change.is_empty() {
+    // A road that was in a gap before has no past.
+    let is_long_enough = name.onset_s >= span_s && samples.gap.len() == AFTER_S.len();
+    if !is_long_enough && samples.change.is_empty() {
         return Err(CalibrationError::Causes(format!(
             "{}: no change is known after {} s; wanted a condition that grows after {} s or more, and frames after it",
             part.source(),
             name.onset_s,
-            Span::ALL
-                .get(Explained::span())
-                .map_or(0.0, |span| span.length_s()),
+            span_s,
         )));
     }
     Ok(samples)

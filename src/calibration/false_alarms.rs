@@ -162,13 +162,19 @@ pub fn is_judging(drive: usize) -> bool {
     drive % JUDGE_EVERY == JUDGE_EVERY - 1
 }
 
-/// The factor for a wanted rate alone, set on the same drives as by [`calibrated`].
-#[allow(clippy::cast_precision_loss)]
-pub(super) fn factor(drives: &[DriveScores], wanted_per_hour: f64, optimistic: bool) -> f64 {
-    let setting = drives.iter().enumerate();
-    let setting = setting.filter(|&(index, _)| optimistic || !is_judging(index));
-    let setting: Vec<&DriveScores> = setting.map(|(_, drive)| drive).collect();
-    factor_for(&setting, wanted_per_hour).0
+/// The factor for a wanted rate alone, set on the same drives as by [`calibrated`]. Each drive has its number.
+pub(super) fn factor(
+    drives: &[(usize, &DriveScores)],
+    wanted_per_hour: f64,
+    optimistic: bool,
+) -> f64 {
+    factor_for(&setting(drives, optimistic), wanted_per_hour).0
+}
+
+fn setting<'a>(drives: &[(usize, &'a DriveScores)], optimistic: bool) -> Vec<&'a DriveScores> {
+    let setting = drives.iter();
+    let setting = setting.filter(|&&(number, _)| optimistic || !is_judging(number));
+    setting.map(|&(_, drive)| drive).collect()
 }
 
 /// The factor for a rate on drives, and how it was found.
@@ -181,24 +187,26 @@ fn factor_for(drives: &[&DriveScores], per_hour: f64) -> (f64, &'static str) {
     }
 }
 
-/// The factor for a wanted rate, and the rate that it gives on other drives: of every four drives, three set it and one
-/// judges it. `optimistic`: the drives have also scaled the gaps, so all of them set the factor and none is left to
-/// judge it.
+/// The factor for a wanted rate, set on the drives of the simulation, each with its number, and the rate that it gives on
+/// all drives: of every four drives, three set it and one judges it. `optimistic`: the drives have also scaled the gaps,
+/// so all of them set the factor and none is left to judge it.
 #[allow(clippy::cast_precision_loss)]
 pub(super) fn calibrated(
-    drives: &[DriveScores],
+    of_simulation: &[(usize, &DriveScores)],
+    of_all: &[&DriveScores],
     wanted_per_hour: f64,
     optimistic: bool,
 ) -> FalseAlarms {
-    let (mut choose, mut judge) = (Vec::new(), Vec::new());
-    for (index, drive) in drives.iter().enumerate() {
-        if optimistic || !is_judging(index) {
-            choose.push(drive)
+    let setting = setting(of_simulation, optimistic);
+    let (mut chosen, mut judge) = (Vec::new(), Vec::new());
+    for (number, &drive) in of_all.iter().enumerate() {
+        if optimistic || !is_judging(number) {
+            chosen.push(drive)
         } else {
             judge.push(drive)
         }
     }
-    let (factor, how) = factor_for(&choose, wanted_per_hour);
+    let (factor, how) = factor_for(&setting, wanted_per_hour);
     let judged_on = Some(nominal(&judge, factor)).filter(|on| on.hours > 0.0);
     let drawn = if optimistic {
         "the drives that scaled the gaps, optimistic"
@@ -212,10 +220,10 @@ pub(super) fn calibrated(
         factors: RATES_PER_HOUR
             .map(|per_hour| RateFactor {
                 per_hour,
-                factor: factor_for(&choose, per_hour).0,
+                factor: factor_for(&setting, per_hour).0,
             })
             .to_vec(),
-        chosen_on: nominal(&choose, factor),
+        chosen_on: nominal(&chosen, factor),
         judged_on,
     }
 }
@@ -296,6 +304,13 @@ mod tests {
     use super::*;
     use crate::statistics::event_rate::{CountedRate, Loudness};
 
+    /// Calibrated on drives of the simulation, not optimistic.
+    fn calibrated_on(drives: &[DriveScores], per_hour: f64) -> FalseAlarms {
+        let numbered: Vec<(usize, &DriveScores)> = drives.iter().enumerate().collect();
+        let all: Vec<&DriveScores> = drives.iter().collect();
+        calibrated(&numbered, &all, per_hour, false)
+    }
+
     /// A drive of a minute at 2 frames a second that is calm, except for 5 s at `peak`.
     fn drive(peak: f64) -> DriveScores {
         let mut drive = DriveScores::default();
@@ -330,16 +345,16 @@ mod tests {
             })
             .collect();
         for wanted in [2.0, 5.0] {
-            let found = calibrated(&drives, wanted, false);
+            let found = calibrated_on(&drives, wanted);
             let judged = found.judged_on.unwrap();
             assert_eq!(judged.drives, 150);
             let (low, high) = judged.per_hour;
             assert!(low <= wanted && wanted <= high, "{wanted}: {judged:?}");
             assert!(!matches!(found.loudness(), Loudness::Louder), "{judged:?}");
         }
-        let few = calibrated(&drives[..8], 1.0, false);
+        let few = calibrated_on(&drives[..8], 1.0);
         assert!(few.said().starts_with("not shown: 0 to "), "{}", few.said());
-        let none = calibrated(&drives[..3], 1.0, false);
+        let none = calibrated_on(&drives[..3], 1.0);
         assert!(
             none.said()
                 .contains("nothing was judged; 3.0 hours without"),
@@ -368,7 +383,7 @@ mod tests {
             .map(|i| if is_judging(i) { &loud } else { &calm })
             .cloned()
             .collect();
-        let found = calibrated(&drives, 1.0, false);
+        let found = calibrated_on(&drives, 1.0);
         let on = found.judged_on.unwrap();
         assert_eq!((on.drives, on.entries), (6, 60));
         assert_eq!(found.loudness(), Loudness::Louder);
@@ -380,7 +395,7 @@ mod tests {
         // The same entries are all in one drive of six, which may be the only one of its kind.
         let mut kinds = vec![calm; 24];
         kinds[3] = loud;
-        let found = calibrated(&kinds, 20.0, false);
+        let found = calibrated_on(&kinds, 20.0);
         assert_eq!(found.judged_on.unwrap().entries, 10);
         assert_eq!(
             CountedRate::new(10, found.judged_on.unwrap().hours, None).loudness(20.0),
@@ -426,7 +441,7 @@ mod tests {
         near(minutes(&DriveScores::default()), 0.0);
         // A drive that could not be judged does not judge.
         let blind = vec![drive_of(&|_| None); 8];
-        let found = calibrated(&blind, 1.0, false);
+        let found = calibrated_on(&blind, 1.0);
         assert_eq!((found.judged_on, found.chosen_on.drives), (None, 0));
     }
 }

@@ -42,7 +42,8 @@ pub fn fit(
             let moments = &span.taps[tap];
             let wider = simulation.map(|of| &of.spans[index].taps[tap]);
             let norm = if span.span.is_change() {
-                EnergyNorm::fit_changes(epsilons[tap], moments, span.independent, wider)
+                let windows = &own.window[tap];
+                EnergyNorm::fit_changes(epsilons[tap], moments, windows, span.independent, wider)
             } else {
                 let (drives, wider) = (span.independent, wider);
                 // A domain without one whole span has the mean of its windows.
@@ -66,16 +67,19 @@ pub fn fit(
     Ok(())
 }
 
-/// Scales the distances of a domain with those of its own drives. `simulation` is given for an accepted domain, whose
-/// scale is not narrower while its drives show few distances.
+/// Scales the distances of a domain with those of its own drives, each from what its fold has fitted. `simulation` is
+/// given for an accepted domain, whose scale is not narrower while its drives show few distances.
 pub fn scale<D: SurveyedDrive>(
     component: &mut Component,
-    scaled: &[Stretch<'_, D>],
+    folds: &[(&Component, &[Stretch<'_, D>])],
     simulation: Option<&Component>,
 ) -> Result<(), CalibrationError> {
-    let own = std::slice::from_ref(&*component);
     // [drives][taps][spans][distances]
-    let mut distances = look_at_all(scaled, |part| distances(part, own))?;
+    let mut distances = Vec::new();
+    for &(own, scaled) in folds {
+        let own = std::slice::from_ref(own);
+        distances.extend(look_at_all(scaled, |part| distances_of(part, own))?);
+    }
     let spans = component.spans();
     for (tap, of) in component.taps.iter_mut().enumerate() {
         for (span, norm) in of.spans.iter_mut().enumerate() {
@@ -141,7 +145,10 @@ fn calm(drive: &mut [Vec<Vec<f64>>], span: usize, medians: &[f64]) {
 }
 
 /// Distances of a part of a drive, `[taps][spans][distances]`, one every half a second.
-fn distances(part: &Part<'_>, own: &[Component]) -> Result<Vec<Vec<Vec<f64>>>, CalibrationError> {
+fn distances_of(
+    part: &Part<'_>,
+    own: &[Component],
+) -> Result<Vec<Vec<Vec<f64>>>, CalibrationError> {
     let track = part.track(Metric::Mahalanobis, own)?;
     let mut watch = SpanWatch::new(own, Duration::ZERO);
     let mut found = vec![vec![Vec::new(); watch.len()]; own[0].taps.len()];

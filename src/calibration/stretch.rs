@@ -8,43 +8,88 @@ use super::drive::SurveyedDrive;
 use super::error::CalibrationError;
 use super::windows::Part;
 
-/// A drive whose frames before `fitted` make histograms or moments, and whose other frames scale gaps.
-pub struct Split<'a, D> {
-    pub drive: &'a D,
-    pub fitted: usize,
+/// Of how many parts of an accepted domain each is scaled with what the others have fitted.
+const FOLDS: usize = 3;
+
+/// How the frames of a domain are used.
+pub struct Usage<'a, D> {
+    /// Frames that make histograms or moments.
+    pub fitted: Vec<Stretch<'a, D>>,
+    /// Frames that scale gaps, each with what was made without them.
+    pub folds: Vec<Fold<'a, D>>,
 }
 
-/// With several drives, every second one is held out completely. Of a single drive, the last third is held out.
-pub fn split<D: SurveyedDrive>(drives: &[D]) -> Vec<Split<'_, D>> {
-    let alone = drives.len() == 1;
-    let share = |index: usize, frames: usize| match (alone, index % 2) {
-        (true, _) => frames - frames / 3,
-        (false, 0) => frames,
-        (false, _) => 0,
-    };
-    drives
-        .iter()
-        .enumerate()
-        .map(|(i, drive)| Split {
-            drive,
-            fitted: share(i, drive.frames()),
-        })
-        .collect()
+/// Frames that scale gaps.
+pub struct Fold<'a, D> {
+    /// Frames that make the histograms or moments of this fold; `None`: those of the domain.
+    pub fitted: Option<Vec<Stretch<'a, D>>>,
+    /// The frames that scale.
+    pub scaled: Vec<Stretch<'a, D>>,
 }
 
-impl<'a, D: SurveyedDrive> Split<'a, D> {
-    pub fn fitted(&self) -> Stretch<'a, D> {
-        Stretch {
-            drive: self.drive,
-            range: 0..self.fitted,
+impl<'a, D: SurveyedDrive> Usage<'a, D> {
+    /// Of several drives, every second one fits and the others scale. Of a single drive, the last third scales.
+    pub fn halves(drives: &'a [D]) -> Self {
+        let alone = drives.len() == 1;
+        let fitted = |index: usize, frames: usize| match (alone, index % 2) {
+            (true, _) => frames - frames / 3,
+            (false, 0) => frames,
+            (false, _) => 0,
+        };
+        let of = |fits: bool| {
+            let stretches = drives.iter().enumerate().map(|(index, drive)| {
+                let (frames, end) = (drive.frames(), fitted(index, drive.frames()));
+                let range = if fits { 0..end } else { end..frames };
+                Stretch { drive, range }
+            });
+            stretches.filter(|of| !of.range.is_empty()).collect()
+        };
+        Self {
+            fitted: of(true),
+            folds: vec![Fold {
+                fitted: None,
+                scaled: of(false),
+            }],
         }
     }
 
-    pub fn rest(&self) -> Stretch<'a, D> {
-        Stretch {
-            drive: self.drive,
-            range: self.fitted..self.drive.frames(),
+    /// Every frame fits, and every third part is scaled with what the other two have fitted (cross-validation), because
+    /// accepted roads are short. Parts are whole drives; one or two drives are cut into parts.
+    pub fn crossed(drives: &'a [D]) -> Self {
+        let part = |index: usize, drive: &'a D, fold: usize| {
+            let frames = drive.frames();
+            let range = match drives.len() {
+                0..FOLDS => fold * frames / FOLDS..(fold + 1) * frames / FOLDS,
+                _ if index % FOLDS == fold => 0..frames,
+                _ => 0..0,
+            };
+            Stretch { drive, range }
+        };
+        let of = |folds: &dyn Fn(usize) -> bool| -> Vec<Stretch<'a, D>> {
+            let parts = drives.iter().enumerate().flat_map(|(index, drive)| {
+                let own = (0..FOLDS).filter(|&fold| folds(fold));
+                own.map(move |fold| part(index, drive, fold))
+            });
+            parts.filter(|of| !of.range.is_empty()).collect()
+        };
+        let folds = (0..FOLDS).map(|fold| Fold {
+            fitted: Some(of(&|other| other != fold)),
+            scaled: of(&|other| other == fold),
+        });
+        Self {
+            fitted: drives.iter().map(Stretch::whole).collect(),
+            folds: folds.filter(|fold| !fold.scaled.is_empty()).collect(),
         }
+    }
+
+    /// Number of frames of a drive that make histograms or moments, and of those that scale.
+    pub fn frames_of(&self, drive: &D) -> (usize, usize) {
+        let frames = |of: &mut dyn Iterator<Item = &Stretch<'a, D>>| -> usize {
+            let own = of.filter(|stretch| std::ptr::eq(stretch.drive, drive));
+            own.map(|stretch| stretch.range.len()).sum()
+        };
+        let scaled = &mut self.folds.iter().flat_map(|fold| &fold.scaled);
+        (frames(&mut self.fitted.iter()), frames(scaled))
     }
 }
 

@@ -3,7 +3,7 @@
 use std::ops::Range;
 use std::time::Duration;
 
-use super::error::CalibrationError;
+use super::error::{CalibrationError, wrong};
 use super::false_alarms::DriveScores;
 use super::survey::{Survey, SurveyFrame};
 use super::target::Target;
@@ -98,6 +98,27 @@ impl<'a> Part<'a> {
             width,
             taken,
         })
+    }
+
+    /// Gaps from the one domain in `own`, `[taps][lengths][windows]`, for windows of some `lengths`, frames.
+    pub fn gaps(
+        &self,
+        wanted: Target,
+        own: &[Component],
+        lengths: &[usize],
+    ) -> Result<Vec<Vec<Vec<f64>>>, CalibrationError> {
+        let track = self.track(wanted.metric, own)?;
+        let mut from = 0;
+        let of_taps = own[0].taps.iter().map(|tap| {
+            let columns = from..from + tap.nominal.len();
+            from = columns.end;
+            let gaps = lengths
+                .iter()
+                .map(|&frames| track.gaps(columns.clone(), frames, &tap.nominal, wanted));
+            let gaps: Result<Vec<_>, _> = gaps.collect();
+            gaps.map_err(|why| wrong(&tap.tap, wanted.metric, why))
+        });
+        of_taps.collect()
     }
 
     /// Passes the drive through the detector after a reset, at the rate at which the road is judged.
@@ -235,7 +256,7 @@ impl Track {
     }
 
     /// Gaps of the windows, with `frames` frames of each window, evenly spread.
-    pub fn gaps(
+    fn gaps(
         &self,
         columns: Range<usize>,
         frames: usize,

@@ -209,13 +209,15 @@ impl EnergyNorm {
 
     /// The norm of differences of levels, which nominally have no mean. With `wider`, the differences of a larger set of
     /// nominal drives: if there are at least [`SPANS_OWN`] independent `spans` of their own, the spread is a mixture of
-    /// both, as in [`fit`](Self::fit); otherwise it is that of the larger set, widened by the own differences.
+    /// both, as in [`fit`](Self::fit). Otherwise it is that of the larger set, widened by the own differences and by the
+    /// spread of the own `windows`: to pass from any part of an accepted road to any other part is nominal.
     ///
     /// # Errors
     /// `TooFewImages` without enough differences.
     pub fn fit_changes(
         epsilon: f64,
         own: &Moments,
+        windows: &Moments,
         spans: usize,
         wider: Option<&Moments>,
     ) -> Result<Self, Undefined> {
@@ -227,8 +229,16 @@ impl EnergyNorm {
             Some(wider) if spans >= SPANS_OWN => {
                 mixed(&own.covariance(), &wider.covariance(), spans)
             }
-            Some(wider) if own.frames > 0 => wider.covariance() + own.second_moment(),
-            Some(wider) => wider.covariance(),
+            Some(wider) => {
+                let mut widened = wider.covariance();
+                if windows.frames >= FRAMES_MIN {
+                    widened += windows.covariance();
+                }
+                if own.frames > 0 {
+                    widened += own.second_moment();
+                }
+                widened
+            }
         };
         Self::with_spread(epsilon, vec![0.0; covariance.nrows()], &covariance)
     }
@@ -379,11 +389,11 @@ const PRIOR_DRIVES: f64 = 20.0;
 /// Number of independent spans from which on changes of an accepted domain have a spread of their own.
 pub const SPANS_OWN: usize = 20;
 
-/// The weight of the own spread is its number of drives or spans, and that of the wider set is `PRIOR_DRIVES`.
+/// The own spread, and beside it as much of the wider set's as a number of own drives or spans leaves in doubt.
 #[allow(clippy::cast_precision_loss)]
 fn mixed(own: &DMatrix<f64>, wider: &DMatrix<f64>, drives: usize) -> DMatrix<f64> {
-    let weight = drives as f64 / (drives as f64 + PRIOR_DRIVES);
-    weight * own + (1.0 - weight) * wider
+    let doubt = PRIOR_DRIVES / (drives as f64 + PRIOR_DRIVES);
+    own + doubt * wider
 }
 
 #[cfg(test)]
