@@ -30,7 +30,9 @@ pub use binning::{
     EPSILON_SHARE, LOG_ENERGY_BINS, PaperBinning, TEMPERATURE_SHARE, TapHistogram, Temperature,
     counts_of,
 };
-pub use calibrate::{Calibrated, Domain, calibrate, looks};
+pub use calibrate::{
+    Accepted, Calibrated, Domain, Shown, accept, calibrate, looks, looks_to_accept,
+};
 pub use cause_names::{CauseName, cause_of, with_conditions};
 pub use causes::{LearntCauses, learn_causes};
 pub use drive::{LabelledDrive, LabelledMeans, SurveyedDrive};

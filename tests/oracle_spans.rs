@@ -12,7 +12,8 @@ use std::time::Duration;
 
 use gapwatch::monitor::span_watch::SpanWatch;
 use gapwatch::reference::Span;
-use gapwatch::reference::gap::moments::{EnergyNorm, Moments, STEPS_PER_NAT};
+use gapwatch::reference::gap::energy_norm::EnergyNorm;
+use gapwatch::reference::gap::moments::{Moments, STEPS_PER_NAT};
 
 /// Half a second, as whole nanoseconds.
 const BIN_NS: u64 = 500_000_000;

@@ -2,19 +2,17 @@
 
 use std::time::Duration;
 
-use super::drive::{LabelledDrive, SurveyedDrive};
+use super::drive::{LabelledDrive, LabelledMeans, SurveyedDrive};
 use super::error::CalibrationError;
 use super::fitting::{Fitting, epsilons_of};
 use super::spans;
 use super::stretch::{Stretch, Usage, look_at_all};
 use super::target::Target;
 use super::thresholds;
-use super::timed::TimedMoments;
 use crate::capture::undefined::Undefined;
 use crate::reference::gap::Metric;
-use crate::reference::gap::moments::Moments;
 use crate::reference::{
-    Component, FalseAlarms, JudgedRate, Role, SPREAD_MIN, ScalePoint, SourceUse,
+    Component, FalseAlarms, JudgedRate, Role, SPREAD_MIN, ScalePoint, SourceUse, Span,
 };
 use crate::statistics::quantile::{median, quantile};
 
@@ -74,14 +72,11 @@ pub fn looks<D: SurveyedDrive, L: LabelledDrive>(
     } else {
         held_out.len()
     };
-    // With spans, drives are scaled twice; whether there will be spans is known later. Drives are scored once more with
-    // spans or several domains. Their rate is looked at before.
-    let scalings = if wanted.is_timed() { 2 } else { 1 };
-    let scorings = if wanted.is_timed() || domains.len() > 1 {
-        3
-    } else {
-        2
-    };
+    // With spans, drives are scaled twice, and scored once more; whether there will be spans is known later. With several
+    // domains, drives are sorted by domain before, and scored once more after. The rate is looked at first.
+    let timed = usize::from(wanted.is_timed());
+    let several = if domains.len() > 1 { 2 } else { 0 };
+    let (scalings, scorings) = (1 + timed, 2 + timed + several);
     (of_fitted * fitted + scalings * scaled + scorings * scored + labelled.len()) as u64
 }
 
@@ -107,69 +102,28 @@ pub fn calibrate<D: SurveyedDrive, L: LabelledDrive>(
     let mut sources = Vec::new();
     let mut components: Vec<Component> = Vec::new();
     let mut scaling: Vec<Stretch<'_, D>> = Vec::new();
-    let mut simulation: Option<Learnt> = None;
     for (index, domain) in domains.iter().enumerate() {
         let usage = usage(index, domain.drives);
-        sources.extend(domain.drives.iter().map(|drive| {
-            let (fitted, held_out) = usage.frames_of(drive);
-            SourceUse {
-                source: drive.source().to_owned(),
-                role: Some(match index {
-                    0 => Role::Simulation,
-                    _ => Role::Accepted,
-                }),
-                frames: drive.frames() as u64,
-                fitted: fitted as u64,
-                held_out: held_out as u64,
-            }
-        }));
-        let scaled = usage.folds.iter().flat_map(|fold| &fold.scaled);
-        let found: usize = scaled.map(|stretch| stretch.range.len()).sum();
-        if found < HELD_OUT_MIN {
-            return Err(CalibrationError::TooFew(Undefined::TooFewImages {
-                found,
-                wanted: HELD_OUT_MIN,
-            }));
-        }
-        let fit = |fitted: &[Stretch<'_, D>]| {
-            let fitting = Fitting {
-                fitted,
-                taps,
-                metric: wanted.metric,
-            };
-            fitted_component(
-                &domain.name,
-                &fitting,
-                &components,
-                simulation.as_ref(),
-                labelled,
-                wanted,
-            )
+        let role = match index {
+            0 => Role::Simulation,
+            _ => Role::Accepted,
         };
-        let (mut component, learnt) = fit(&usage.fitted)?;
-        let (mut of_folds, mut scaled) = (Vec::new(), Vec::new());
-        for fold in usage.folds {
-            let own = fold.fitted.map(|fitted| fit(&fitted)).transpose()?;
-            of_folds.push(own.map_or_else(|| component.clone(), |(own, _)| own));
-            scaled.push(fold.scaled);
-        }
-        let folds: Vec<(&Component, &[Stretch<'_, D>])> = of_folds
-            .iter()
-            .zip(scaled.iter().map(Vec::as_slice))
-            .collect();
-        scale(&mut component, &folds, wanted)?;
-        if component.spans() > 0 {
-            spans::scale(&mut component, &folds, components.first())?;
-        }
-        if index == 0 {
-            simulation = learnt;
-        }
-        components.push(component);
-        scaling.extend(scaled.into_iter().flatten());
+        sources.extend(uses(domain, &usage, role));
+        let simulation = components.first();
+        components.push(component_of(
+            &domain.name,
+            &usage,
+            simulation,
+            labelled,
+            taps,
+            wanted,
+        )?);
+        scaling.extend(usage.folds.into_iter().flat_map(|fold| fold.scaled));
     }
     sources.extend(held_out.iter().map(|drive| SourceUse {
         source: drive.source().to_owned(),
         role: Some(Role::HeldOut),
+        domain: None,
         frames: drive.frames() as u64,
         fitted: 0,
         held_out: drive.frames() as u64,
@@ -191,6 +145,153 @@ pub fn calibrate<D: SurveyedDrive, L: LabelledDrive>(
     })
 }
 
+/// The result of an acceptance.
+pub struct Accepted {
+    /// The accepted domains with their thresholds.
+    pub components: Vec<Component>,
+    /// The sources that were used.
+    pub sources: Vec<SourceUse>,
+    /// What stands behind each domain.
+    pub shown: Vec<Shown>,
+}
+
+/// What stands behind an accepted domain.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Shown {
+    /// Number of drives.
+    pub drives: usize,
+    /// Their length together, seconds.
+    pub seconds: f64,
+    /// Number of spans of each kind that do not overlap, in the order of [`Span::ALL`].
+    pub spans: [usize; Span::ALL.len()],
+}
+
+/// Makes nominal domains beside those of a reference, without the drives of its simulation. They are the same as if
+/// [`calibrate`] had made them with the simulation and without held-out drives of theirs.
+///
+/// # Errors
+/// When a frame cannot be judged, when there are too few frames, or when a drive can no longer be read.
+pub fn accept<D: SurveyedDrive>(
+    simulation: &Component,
+    domains: &[Domain<'_, D>],
+    wanted: Target,
+) -> Result<Accepted, CalibrationError> {
+    let taps: Vec<String> = simulation.taps.iter().map(|of| of.tap.clone()).collect();
+    let none: &[LabelledMeans] = &[];
+    let (mut components, mut sources, mut shown) = (Vec::new(), Vec::new(), Vec::new());
+    for domain in domains {
+        shown.push(shown_by(domain.drives)?);
+        let usage = Usage::crossed(domain.drives);
+        sources.extend(uses(domain, &usage, Role::Accepted));
+        let mut component =
+            component_of(&domain.name, &usage, Some(simulation), none, &taps, wanted)?;
+        component.widen_like(simulation);
+        components.push(component);
+    }
+    Ok(Accepted {
+        components,
+        sources,
+        shown,
+    })
+}
+
+fn shown_by<D: SurveyedDrive>(drives: &[D]) -> Result<Shown, CalibrationError> {
+    let whole: Vec<Stretch<'_, D>> = drives.iter().map(Stretch::whole).collect();
+    let lengths_s = look_at_all(&whole, |part| {
+        let (times, period) = (
+            part.times(),
+            frames_hz(part.times()).map_or(0.0, f64::recip),
+        );
+        let ends = times.first().zip(times.last());
+        Ok(ends.map_or(0.0, |(first, last)| (*last - *first).as_secs_f64() + period))
+    })?;
+    // Lengths of drives are hours at most.
+    #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)]
+    let of = |span: Span| {
+        let whole = lengths_s
+            .iter()
+            .map(|length| (length / span.length_s()) as usize);
+        whole.sum()
+    };
+    Ok(Shown {
+        drives: drives.len(),
+        seconds: lengths_s.iter().sum(),
+        spans: Span::ALL.map(of),
+    })
+}
+
+/// How often [`accept`] looks at drives in total.
+pub fn looks_to_accept<D: SurveyedDrive>(domains: &[Domain<'_, D>], wanted: Target) -> u64 {
+    let (mut fitted, mut scaled) = (0, 0);
+    for domain in domains {
+        let (fits, scales) = Usage::crossed(domain.drives).stretches();
+        (fitted, scaled) = (fitted + fits, scaled + scales);
+    }
+    let drives: usize = domains.iter().map(|domain| domain.drives.len()).sum();
+    (drives + 2 * fitted + (1 + usize::from(wanted.is_timed())) * scaled) as u64
+}
+
+fn uses<'d, D: SurveyedDrive>(
+    domain: &Domain<'d, D>,
+    usage: &Usage<'d, D>,
+    role: Role,
+) -> Vec<SourceUse> {
+    let of = |drive: &D| {
+        let (fitted, held_out) = usage.frames_of(drive);
+        SourceUse {
+            source: drive.source().to_owned(),
+            role: Some(role),
+            domain: (role == Role::Accepted).then(|| domain.name.clone()),
+            frames: drive.frames() as u64,
+            fitted: fitted as u64,
+            held_out: held_out as u64,
+        }
+    };
+    domain.drives.iter().map(of).collect()
+}
+
+/// A domain whose thresholds are the 99 % quantiles of its distances. `simulation` is given for an accepted domain.
+fn component_of<D: SurveyedDrive, L: LabelledDrive>(
+    name: &str,
+    usage: &Usage<'_, D>,
+    simulation: Option<&Component>,
+    labelled: &[L],
+    taps: &[String],
+    wanted: Target,
+) -> Result<Component, CalibrationError> {
+    let scaled = usage.folds.iter().flat_map(|fold| &fold.scaled);
+    let found: usize = scaled.map(|stretch| stretch.range.len()).sum();
+    if found < HELD_OUT_MIN {
+        return Err(CalibrationError::TooFew(Undefined::TooFewImages {
+            found,
+            wanted: HELD_OUT_MIN,
+        }));
+    }
+    let fit = |fitted: &[Stretch<'_, D>]| {
+        let fitting = Fitting {
+            fitted,
+            taps,
+            metric: wanted.metric,
+        };
+        fitted_component(name, &fitting, simulation, labelled, wanted)
+    };
+    let mut component = fit(&usage.fitted)?;
+    let mut of_folds = Vec::new();
+    for fold in &usage.folds {
+        of_folds.push(match &fold.fitted {
+            Some(fitted) => fit(fitted)?,
+            None => component.clone(),
+        });
+    }
+    let scaled = usage.folds.iter().map(|fold| fold.scaled.as_slice());
+    let folds: Vec<(&Component, &[Stretch<'_, D>])> = of_folds.iter().zip(scaled).collect();
+    scale(&mut component, &folds, wanted)?;
+    if component.spans() > 0 {
+        spans::scale(&mut component, &folds, simulation)?;
+    }
+    Ok(component)
+}
+
 /// How the frames of the domain with this number are used.
 fn usage<D: SurveyedDrive>(index: usize, drives: &[D]) -> Usage<'_, D> {
     match index {
@@ -199,45 +300,48 @@ fn usage<D: SurveyedDrive>(index: usize, drives: &[D]) -> Usage<'_, D> {
     }
 }
 
-/// What is nominal in a domain, with distances that are not scaled yet, and what the next domains need of it. `simulation`
-/// is given for an accepted domain, which comes after some `components`.
+/// What is nominal in a domain, with distances that are not scaled yet. `simulation` is given for an accepted domain.
 fn fitted_component<D: SurveyedDrive, L: LabelledDrive>(
     name: &str,
     fitting: &Fitting<'_, D>,
-    components: &[Component],
-    simulation: Option<&Learnt>,
+    simulation: Option<&Component>,
     labelled: &[L],
     wanted: Target,
-) -> Result<(Component, Option<Learnt>), CalibrationError> {
+) -> Result<Component, CalibrationError> {
     let mut component = Component {
         name: name.to_owned(),
         taps: Vec::new(),
     };
     if wanted.metric.divergence().is_some() {
         component.taps = fitting.histograms()?;
-        return Ok((component, None));
+        return Ok(component);
     }
     let peaks = fitting.median_peaks()?;
-    let learnt = Learnt::of(fitting, epsilons_of(&peaks, components.first()), wanted)?;
+    let epsilons = epsilons_of(&peaks, simulation);
+    let timed = wanted
+        .is_timed()
+        .then(|| fitting.timed_moments(&epsilons, wanted.window_s));
+    let timed = timed.transpose()?;
+    let of_frames = match &timed {
+        Some(_) => None,
+        None => Some(fitting.frame_moments(&epsilons)?),
+    };
+    let moments = of_frames.as_ref().or(timed.as_ref().map(|of| &of.window));
     component.taps = fitting.energies(
         &peaks,
-        &learnt.epsilons,
-        &learnt.moments,
-        simulation.map(|of| of.moments.as_slice()),
+        &epsilons,
+        moments.map_or(&[], Vec::as_slice),
+        simulation,
         labelled,
     )?;
-    let timed = match components.first() {
-        None => learnt
-            .timed
-            .as_ref()
-            .filter(|of| spans::are_long_enough(of)),
-        Some(first) => learnt.timed.as_ref().filter(|_| first.spans() > 0),
-    };
+    let timed = timed.filter(|of| match simulation {
+        None => spans::are_long_enough(of),
+        Some(simulation) => simulation.spans() > 0,
+    });
     if let Some(timed) = timed {
-        let of_simulation = simulation.and_then(|of| of.timed.as_ref());
-        spans::fit(&mut component, &learnt.epsilons, timed, of_simulation)?;
+        spans::fit(&mut component, &epsilons, &timed, simulation)?;
     }
-    Ok((component, Some(learnt)))
+    Ok(component)
 }
 
 /// Frames a second, from the median time between frames; `None` without two frames.
@@ -247,36 +351,6 @@ fn frames_hz(times: &[Duration]) -> Option<f64> {
     steps.sort_unstable();
     let middle = steps.get(steps.len() / 2).filter(|step| !step.is_zero())?;
     Some(1.0 / middle.as_secs_f64())
-}
-
-/// What was learnt of a domain.
-struct Learnt {
-    epsilons: Vec<f64>,
-    /// Of windows if there are timed moments, else of frames.
-    moments: Vec<Moments>,
-    timed: Option<TimedMoments>,
-}
-
-impl Learnt {
-    fn of<D: SurveyedDrive>(
-        fitting: &Fitting<'_, D>,
-        epsilons: Vec<f64>,
-        wanted: Target,
-    ) -> Result<Self, CalibrationError> {
-        let timed = wanted
-            .is_timed()
-            .then(|| fitting.timed_moments(&epsilons, wanted.window_s));
-        let timed = timed.transpose()?;
-        let moments = match &timed {
-            Some(timed) => timed.window.clone(),
-            None => fitting.frame_moments(&epsilons)?,
-        };
-        Ok(Self {
-            epsilons,
-            moments,
-            timed,
-        })
-    }
 }
 
 /// Scales the gaps of a domain with the gaps of windows of its own drives, each from what its fold has fitted.
@@ -331,7 +405,7 @@ mod tests {
 
     use super::super::binning::tests::ramp;
     use super::*;
-    use crate::calibration::drive::{LabelledMeans, StoreError};
+    use crate::calibration::drive::StoreError;
     use crate::calibration::survey::{Survey, SurveyFrame};
     use crate::features::energies::BlockMeans;
     use crate::reference::EvidenceKind;
@@ -406,5 +480,38 @@ mod tests {
                 assert_eq!(looked, predicted, "{metric}, {fitting} drives");
             }
         }
+    }
+
+    #[test]
+    fn an_accepted_road_moves_no_threshold_of_the_simulation() {
+        let simulation: Vec<Counted> = (0..8).map(counted).collect();
+        let held_out: Vec<Counted> = (8..16).map(counted).collect();
+        let road = [counted(90)];
+        let domain = |name: &str, drives| Domain {
+            name: name.to_owned(),
+            drives,
+        };
+        let wanted = Target {
+            evidence: EvidenceKind::Frames,
+            ..Target::new(Metric::Mahalanobis, 1.0, 1.0)
+        };
+        let none: &[LabelledMeans] = &[];
+        let taps = ["e2".to_owned()];
+        let made = |domains: &[Domain<'_, Counted>]| {
+            calibrate(domains, &held_out, none, &taps, wanted).unwrap()
+        };
+        let alone = made(&[domain("simulation", &simulation)]);
+        let both = made(&[domain("simulation", &simulation), domain("road", &road)]);
+        assert_eq!(both.components[0], alone.components[0]);
+        assert_eq!(both.false_alarms.factor, alone.false_alarms.factor);
+        // Without its drives, the simulation's domain is enough to accept the road as it was accepted with them.
+        let later = accept(&alone.components[0], &[domain("road", &road)], wanted).unwrap();
+        assert_eq!(later.components, both.components[1..]);
+        assert_eq!(later.shown[0].drives, 1);
+        assert!((later.shown[0].seconds - 6.0).abs() < 1e-6);
+        assert_eq!(later.shown[0].spans, [1, 0, 0]);
+        // The road has the margins of the simulation, or those that its own frames need.
+        let times = |of: &Component| of.taps[0].scale[0].threshold / of.taps[0].scale[0].median;
+        assert!(times(&both.components[1]) >= times(&both.components[0]) * 0.999_999);
     }
 }

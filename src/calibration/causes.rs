@@ -14,7 +14,8 @@ use super::target::Target;
 use super::windows::{Part, Track};
 use crate::reference::cause::Cause;
 use crate::reference::gap::Metric;
-use crate::reference::gap::moments::{Moments, pooled_whitening};
+use crate::reference::gap::energy_norm::pooled_whitening;
+use crate::reference::gap::moments::Moments;
 use crate::reference::{
     CauseKind, Causes, Component, Discriminant, DiscriminantBlock, Explained, OfKinds, Role,
     SourceUse, Span,
@@ -83,6 +84,7 @@ pub fn learn_causes<D: SurveyedDrive>(
         SourceUse {
             source: drive.source().to_owned(),
             role: Some(Role::Cause),
+            domain: None,
             frames,
             fitted: if fits { frames } else { 0 },
             held_out: if fits { 0 } else { frames },

@@ -164,17 +164,27 @@ pub fn is_judging(drive: usize) -> bool {
 
 /// The factor for a wanted rate alone, set on the same drives as by [`calibrated`]. Each drive has its number.
 pub(super) fn factor(
-    drives: &[(usize, &DriveScores)],
+    drives: &[(usize, DriveScores)],
     wanted_per_hour: f64,
     optimistic: bool,
 ) -> f64 {
-    factor_for(&setting(drives, optimistic), wanted_per_hour).0
+    factor_for(&sorted(drives, optimistic).0, wanted_per_hour).0
 }
 
-fn setting<'a>(drives: &[(usize, &'a DriveScores)], optimistic: bool) -> Vec<&'a DriveScores> {
-    let setting = drives.iter();
-    let setting = setting.filter(|&&(number, _)| optimistic || !is_judging(number));
-    setting.map(|&(_, drive)| drive).collect()
+/// The drives that set the rate, and those that judge it.
+fn sorted(
+    drives: &[(usize, DriveScores)],
+    optimistic: bool,
+) -> (Vec<&DriveScores>, Vec<&DriveScores>) {
+    let (mut setting, mut judging) = (Vec::new(), Vec::new());
+    for (number, scores) in drives {
+        if optimistic || !is_judging(*number) {
+            setting.push(scores);
+        } else {
+            judging.push(scores);
+        }
+    }
+    (setting, judging)
 }
 
 /// The factor for a rate on drives, and how it was found.
@@ -187,27 +197,16 @@ fn factor_for(drives: &[&DriveScores], per_hour: f64) -> (f64, &'static str) {
     }
 }
 
-/// The factor for a wanted rate, set on the drives of the simulation, each with its number, and the rate that it gives on
-/// all drives: of every four drives, three set it and one judges it. `optimistic`: the drives have also scaled the gaps,
-/// so all of them set the factor and none is left to judge it.
-#[allow(clippy::cast_precision_loss)]
+/// The factor for a wanted rate, and the rate that it gives on other drives, each with its number: of every four drives,
+/// three set it and one judges it. `optimistic`: the drives have also scaled the gaps, so all of them set the factor and
+/// none is left to judge it.
 pub(super) fn calibrated(
-    of_simulation: &[(usize, &DriveScores)],
-    of_all: &[&DriveScores],
+    drives: &[(usize, DriveScores)],
     wanted_per_hour: f64,
     optimistic: bool,
 ) -> FalseAlarms {
-    let setting = setting(of_simulation, optimistic);
-    let (mut chosen, mut judge) = (Vec::new(), Vec::new());
-    for (number, &drive) in of_all.iter().enumerate() {
-        if optimistic || !is_judging(number) {
-            chosen.push(drive)
-        } else {
-            judge.push(drive)
-        }
-    }
+    let (setting, judging) = sorted(drives, optimistic);
     let (factor, how) = factor_for(&setting, wanted_per_hour);
-    let judged_on = Some(nominal(&judge, factor)).filter(|on| on.hours > 0.0);
     let drawn = if optimistic {
         "the drives that scaled the gaps, optimistic"
     } else {
@@ -223,9 +222,20 @@ pub(super) fn calibrated(
                 factor: factor_for(&setting, per_hour).0,
             })
             .to_vec(),
-        chosen_on: nominal(&chosen, factor),
-        judged_on,
+        chosen_on: nominal(&setting, factor),
+        judged_on: judged(&judging, factor),
     }
+}
+
+/// Counts the entries anew, on drives of all domains whose scores are at the final thresholds.
+pub(super) fn count(of: &mut FalseAlarms, drives: &[(usize, DriveScores)], optimistic: bool) {
+    let (setting, judging) = sorted(drives, optimistic);
+    of.chosen_on = nominal(&setting, 1.0);
+    of.judged_on = judged(&judging, 1.0);
+}
+
+fn judged(drives: &[&DriveScores], factor: f64) -> Option<NominalDrives> {
+    Some(nominal(drives, factor)).filter(|on| on.hours > 0.0)
 }
 
 /// The smallest factor from which on at most `wanted` entries are counted.
@@ -306,9 +316,8 @@ mod tests {
 
     /// Calibrated on drives of the simulation, not optimistic.
     fn calibrated_on(drives: &[DriveScores], per_hour: f64) -> FalseAlarms {
-        let numbered: Vec<(usize, &DriveScores)> = drives.iter().enumerate().collect();
-        let all: Vec<&DriveScores> = drives.iter().collect();
-        calibrated(&numbered, &all, per_hour, false)
+        let numbered: Vec<_> = drives.iter().cloned().enumerate().collect();
+        calibrated(&numbered, per_hour, false)
     }
 
     /// A drive of a minute at 2 frames a second that is calm, except for 5 s at `peak`.

@@ -8,8 +8,9 @@ use super::timed::TimedMoments;
 use super::windows::Part;
 use crate::capture::undefined::Undefined;
 use crate::reference::gap::Metric;
+use crate::reference::gap::energy_norm::EnergyNorm;
 use crate::reference::gap::lane_risk::LaneRiskFit;
-use crate::reference::gap::moments::{self, EnergyNorm, Moments};
+use crate::reference::gap::moments::{self, Moments};
 use crate::reference::{Component, Nominal, TapReference};
 use crate::statistics::quantile::median;
 
@@ -158,13 +159,13 @@ impl<D: SurveyedDrive> Fitting<'_, D> {
         )
     }
 
-    /// What is nominal for each tap, as energies; the gaps are not scaled yet. `wider` is given for an accepted domain.
+    /// What is nominal for each tap, as energies; the gaps are not scaled yet. `simulation` is given for an accepted domain.
     pub fn energies<L: LabelledDrive>(
         &self,
         peaks: &[f64],
         epsilons: &[f64],
         moments: &[Moments],
-        wider: Option<&[Moments]>,
+        simulation: Option<&Component>,
         labelled: &[L],
     ) -> Result<Vec<TapReference>, CalibrationError> {
         let epsilon = |tap: usize| epsilons[tap];
@@ -191,7 +192,10 @@ impl<D: SurveyedDrive> Fitting<'_, D> {
             fitted.collect::<Result<_, CalibrationError>>()?
         } else {
             let norms = (0..self.taps.len()).map(|tap| {
-                let wider = wider.map(|all| (&all[tap], self.fitted.len()));
+                let wider = simulation.and_then(|of| match &of.taps[tap].nominal {
+                    Nominal::Energies(norm) => Some((norm, self.fitted.len())),
+                    _ => None,
+                });
                 EnergyNorm::fit(epsilon(tap), &moments[tap], wider)
                     .map(Nominal::Energies)
                     .map_err(|why| self.wrong(tap, why))

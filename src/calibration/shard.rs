@@ -49,6 +49,9 @@ pub struct ShardSource {
     pub source: String,
     /// Its role.
     pub role: Role,
+    /// Name of the accepted domain to which it belongs.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub domain: Option<String>,
     /// Number of its frames.
     pub frames: u64,
 }
@@ -122,6 +125,7 @@ impl Shard {
             Ok(ShardSource {
                 source: source.source,
                 role,
+                domain: source.domain,
                 frames: source.frames,
             })
         });

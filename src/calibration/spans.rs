@@ -12,7 +12,7 @@ use crate::monitor::history::BIN;
 use crate::monitor::span_watch::SpanWatch;
 use crate::monitor::unrest::Unrest;
 use crate::reference::gap::Metric;
-use crate::reference::gap::moments::{EnergyNorm, SPANS_OWN};
+use crate::reference::gap::energy_norm::{EnergyNorm, SPANS_OWN};
 use crate::reference::{Component, SPREAD_MIN, SpanNorm};
 use crate::statistics::quantile::{median, quantile};
 
@@ -35,12 +35,12 @@ pub fn fit(
     component: &mut Component,
     epsilons: &[f64],
     own: &TimedMoments,
-    simulation: Option<&TimedMoments>,
+    simulation: Option<&Component>,
 ) -> Result<(), CalibrationError> {
     for (tap, of) in component.taps.iter_mut().enumerate() {
         for (index, span) in own.spans.iter().enumerate() {
             let moments = &span.taps[tap];
-            let wider = simulation.map(|of| &of.spans[index].taps[tap]);
+            let wider = simulation.map(|of| &of.taps[tap].spans[index].norm);
             let norm = if span.span.is_change() {
                 let windows = &own.window[tap];
                 EnergyNorm::fit_changes(epsilons[tap], moments, windows, span.independent, wider)

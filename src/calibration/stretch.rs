@@ -82,6 +82,14 @@ impl<'a, D: SurveyedDrive> Usage<'a, D> {
         }
     }
 
+    /// Number of stretches that are fitted, those of folds included, and of those that are scaled.
+    pub fn stretches(&self) -> (usize, usize) {
+        let of_folds = self.folds.iter().filter_map(|fold| fold.fitted.as_ref());
+        let fitted = self.fitted.len() + of_folds.map(Vec::len).sum::<usize>();
+        let scaled = self.folds.iter().map(|fold| fold.scaled.len()).sum();
+        (fitted, scaled)
+    }
+
     /// Number of frames of a drive that make histograms or moments, and of those that scale.
     pub fn frames_of(&self, drive: &D) -> (usize, usize) {
         let frames = |of: &mut dyn Iterator<Item = &Stretch<'a, D>>| -> usize {
@@ -97,6 +105,15 @@ impl<'a, D: SurveyedDrive> Usage<'a, D> {
 pub struct Stretch<'a, D> {
     pub drive: &'a D,
     pub range: Range<usize>,
+}
+
+impl<D> Clone for Stretch<'_, D> {
+    fn clone(&self) -> Self {
+        Self {
+            drive: self.drive,
+            range: self.range.clone(),
+        }
+    }
 }
 
 impl<'a, D: SurveyedDrive> Stretch<'a, D> {
@@ -151,4 +168,69 @@ pub fn sum_over_all<D: SurveyedDrive, T: Send + Sync + Clone>(
                 Ok(sum)
             },
         )
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use std::borrow::Cow;
+
+    use super::*;
+    use crate::calibration::drive::StoreError;
+    use crate::calibration::survey::Survey;
+
+    /// A drive that is never looked at.
+    struct Long(usize);
+
+    impl SurveyedDrive for Long {
+        fn source(&self) -> &str {
+            "a drive"
+        }
+
+        fn frames(&self) -> usize {
+            self.0
+        }
+
+        fn survey(&self) -> Result<Cow<'_, Survey>, StoreError> {
+            unreachable!("nobody looks at it")
+        }
+    }
+
+    #[test]
+    fn every_frame_of_an_accepted_domain_scales_once_with_what_others_have_fitted() {
+        for lengths in [vec![100], vec![50, 70], vec![30, 40, 50], vec![20; 7]] {
+            let drives: Vec<Long> = lengths.iter().copied().map(Long).collect();
+            let usage = Usage::crossed(&drives);
+            for drive in &drives {
+                assert_eq!(usage.frames_of(drive), (drive.0, drive.0));
+            }
+            for fold in &usage.folds {
+                let fitted = fold.fitted.as_ref().unwrap();
+                let frames = |of: &[Stretch<'_, Long>]| -> usize {
+                    of.iter().map(|stretch| stretch.range.len()).sum()
+                };
+                let all: usize = lengths.iter().sum();
+                assert_eq!(frames(fitted) + frames(&fold.scaled), all);
+                for (own, other) in fold
+                    .scaled
+                    .iter()
+                    .flat_map(|own| fitted.iter().map(move |other| (own, other)))
+                {
+                    let apart =
+                        own.range.end <= other.range.start || other.range.end <= own.range.start;
+                    assert!(apart || !std::ptr::eq(own.drive, other.drive));
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn of_the_simulation_every_second_drive_fits() {
+        let drives = [Long(10), Long(20), Long(30)];
+        let usage = Usage::halves(&drives);
+        let used = drives.each_ref().map(|drive| usage.frames_of(drive));
+        assert_eq!(used, [(10, 0), (0, 20), (30, 0)]);
+        let lone = [Long(10)];
+        assert_eq!(Usage::halves(&lone).frames_of(&lone[0]), (7, 3));
+    }
 }

@@ -2,8 +2,8 @@
 //!
 //! Each domain has thresholds of its own, set on the drives that are nearest to it and on its scores alone. Another
 //! domain can only take false alarms away: a road is judged by the domain that is nearest. So accepting a road neither
-//! lowers nor raises the thresholds of the simulation. A domain with few drives has at least the margins of the
-//! simulation, relative to its own distances.
+//! lowers nor raises the thresholds of the simulation. A domain without enough drives has the margins of the simulation:
+//! its thresholds are as many times its medians, and not below what its own frames show.
 
 use super::drive::SurveyedDrive;
 use super::error::CalibrationError;
@@ -14,8 +14,16 @@ use super::windows::Part;
 use crate::reference::{Component, FalseAlarms};
 use crate::statistics::quantile::median;
 
-/// Number of drives of an accepted domain from which on its margins may be smaller than those of the simulation.
+/// Number of drives from which on an accepted domain has margins of its own.
 const DRIVES_OWN: usize = 20;
+
+/// Nominal drives, and the domain to which each belongs.
+struct Sorted<'a, 'd, D> {
+    drives: &'a [Stretch<'d, D>],
+    domain: Vec<usize>,
+    /// The drives have also scaled the distances, so none of them judges the rate.
+    optimistic: bool,
+}
 
 /// Sets the thresholds of all domains for the wanted rate. The first domain is the simulation. `optimistic`: the drives
 /// have also scaled the distances, so none of them judges the rate.
@@ -25,56 +33,82 @@ pub fn set<D: SurveyedDrive>(
     wanted: Target,
     optimistic: bool,
 ) -> Result<FalseAlarms, CalibrationError> {
-    let spans = components.first().map_or(0, Component::spans);
-    let mut is_simulation = vec![true; drives.len()];
-    if spans > 0 || components.len() > 1 {
-        // [drives][domains][parts]
-        let (alone, nearest): (Vec<_>, Vec<_>) = look_at_all(drives, |part| {
-            let each = components.chunks(1);
-            let alone = each.map(|own| part.scores_of_parts(wanted, own));
-            Ok((
-                alone.collect::<Result<Vec<_>, _>>()?,
-                nearest(part, components, wanted)?,
-            ))
-        })?
-        .into_iter()
-        .unzip();
-        if nearest.contains(&0) {
-            is_simulation = nearest.iter().map(|&domain| domain == 0).collect();
-        }
-        if spans > 0 {
-            widen_parts(
-                components,
-                &alone,
-                &is_simulation,
-                &nearest,
-                wanted,
-                optimistic,
-            );
+    let several = components.len() > 1;
+    let domain = match several {
+        true => look_at_all(drives, |part| nearest(part, components, wanted))?,
+        false => vec![0; drives.len()],
+    };
+    // Drives that are all on accepted roads still set the margins of the simulation, which are then far.
+    let domain = match domain.contains(&0) {
+        true => domain,
+        false => vec![0; drives.len()],
+    };
+    let sorted = Sorted {
+        drives,
+        domain,
+        optimistic,
+    };
+    let mut false_alarms = sorted.set_one(components, 0, wanted)?;
+    for domain in 1..components.len() {
+        if sorted.of(domain).len() >= DRIVES_OWN {
+            sorted.set_one(components, domain, wanted)?;
+        } else if let Some((simulation, accepted)) = components.split_first_mut() {
+            accepted[domain - 1].widen_like(simulation);
         }
     }
-    // [drives], against the simulation alone and against all domains
-    let several = components.len() > 1;
-    let scores = look_at_all(drives, |part| {
-        let simulation = part.scores(wanted, &components[..1])?;
-        let all = several.then(|| part.scores(wanted, components));
-        Ok((simulation, all.transpose()?))
-    })?;
-    let of_all: Vec<&DriveScores> = scores
-        .iter()
-        .map(|(simulation, all)| all.as_ref().unwrap_or(simulation))
-        .collect();
-    let of_simulation = scores.iter().zip(&is_simulation).enumerate();
-    let of_simulation: Vec<(usize, &DriveScores)> = of_simulation
-        .filter(|&(_, (_, &is_simulation))| is_simulation)
-        .map(|(index, ((simulation, _), _))| (index, simulation))
-        .collect();
-    let per_hour = wanted.false_alarms_per_hour;
-    let false_alarms = false_alarms::calibrated(&of_simulation, &of_all, per_hour, optimistic);
-    for tap in components.iter_mut().flat_map(|of| &mut of.taps) {
-        (0..=spans).for_each(|part| tap.widen(part, false_alarms.factor));
+    if several {
+        let scores = look_at_all(drives, |part| part.scores(wanted, components))?;
+        let scores: Vec<(usize, DriveScores)> = scores.into_iter().enumerate().collect();
+        false_alarms::count(&mut false_alarms, &scores, optimistic);
     }
     Ok(false_alarms)
+}
+
+impl<D: SurveyedDrive> Sorted<'_, '_, D> {
+    /// Numbers of the drives of a domain.
+    fn of(&self, domain: usize) -> Vec<usize> {
+        let all = self.domain.iter().enumerate();
+        all.filter(|&(_, &of)| of == domain)
+            .map(|(number, _)| number)
+            .collect()
+    }
+
+    /// Sets the thresholds of one domain on its drives.
+    fn set_one(
+        &self,
+        components: &mut [Component],
+        domain: usize,
+        wanted: Target,
+    ) -> Result<FalseAlarms, CalibrationError> {
+        let numbers = self.of(domain);
+        let drives: Vec<Stretch<'_, D>> = numbers.iter().map(|&n| self.drives[n].clone()).collect();
+        let own = &mut components[domain..=domain];
+        let spans = own[0].spans();
+        if spans > 0 {
+            // Every part of the evidence gets the same share of the false alarms. [drives][parts]
+            let of_parts = look_at_all(&drives, |part| part.scores_of_parts(wanted, own))?;
+            #[allow(clippy::cast_precision_loss)]
+            let share = wanted.false_alarms_per_hour / (1 + spans) as f64;
+            for part in 0..=spans {
+                let of_part = of_parts.iter().map(|of| of[part].clone());
+                let scores: Vec<(usize, DriveScores)> =
+                    numbers.iter().copied().zip(of_part).collect();
+                let factor = false_alarms::factor(&scores, share, self.optimistic);
+                own[0]
+                    .taps
+                    .iter_mut()
+                    .for_each(|tap| tap.widen(part, factor));
+            }
+        }
+        let scores = look_at_all(&drives, |part| part.scores(wanted, own))?;
+        let scores: Vec<(usize, DriveScores)> = numbers.into_iter().zip(scores).collect();
+        let per_hour = wanted.false_alarms_per_hour;
+        let false_alarms = false_alarms::calibrated(&scores, per_hour, self.optimistic);
+        for tap in &mut own[0].taps {
+            (0..=spans).for_each(|part| tap.widen(part, false_alarms.factor));
+        }
+        Ok(false_alarms)
+    }
 }
 
 /// The domain from which a drive is least far, by the median gap of its frames. The gap counts and not the score: the
@@ -93,42 +127,4 @@ fn nearest(
         }
     }
     Ok(least.0)
-}
-
-/// Every part of the evidence gets the same share of the false alarms.
-#[allow(clippy::cast_precision_loss)]
-fn widen_parts(
-    components: &mut [Component],
-    alone: &[Vec<Vec<DriveScores>>],
-    is_simulation: &[bool],
-    nearest: &[usize],
-    wanted: Target,
-    optimistic: bool,
-) {
-    let parts = 1 + components.first().map_or(0, Component::spans);
-    let share = wanted.false_alarms_per_hour / parts as f64;
-    for part in 0..parts {
-        let of = |domain: usize, belongs: &dyn Fn(usize) -> bool| -> Vec<(usize, &DriveScores)> {
-            let own = alone
-                .iter()
-                .enumerate()
-                .filter(|(index, _)| belongs(*index));
-            own.map(|(index, of)| (index, &of[domain][part])).collect()
-        };
-        let simulation = of(0, &|drive| is_simulation[drive]);
-        let of_simulation = false_alarms::factor(&simulation, share, optimistic);
-        for (domain, component) in components.iter_mut().enumerate() {
-            let own = of(domain, &|drive| nearest[drive] == domain);
-            let factor = match own.len() {
-                _ if domain == 0 => of_simulation,
-                0 => of_simulation,
-                1..DRIVES_OWN => of_simulation.max(false_alarms::factor(&own, share, optimistic)),
-                _ => false_alarms::factor(&own, share, optimistic),
-            };
-            component
-                .taps
-                .iter_mut()
-                .for_each(|tap| tap.widen(part, factor));
-        }
-    }
 }

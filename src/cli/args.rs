@@ -17,7 +17,7 @@ use gapwatch::reference::gap::Metric;
 pub use lab::*;
 pub use model::ModelArgs;
 pub use values::TableFormat;
-use values::{SOURCES, frames_a_second, rate, seconds, whole};
+use values::{SOURCES, frames_a_second, named, rate, seconds, whole};
 
 /// Watches the road through a lane model's own encoder, and warns on CAN when the road has left the domain that the
 /// model knows.
@@ -164,12 +164,19 @@ pub enum Speed {
     --size 800x288 --mean 0.36,0.37,0.37 --std 0.26,0.27,0.28 --out town.json"))]
 pub struct CalibrateArgs {
     /// Nominal sources; each is one drive
-    #[arg(long, value_name = "SOURCE", num_args = 1.., required_unless_present = "shard")]
+    #[arg(long, value_name = "SOURCE", num_args = 1.., required_unless_present_any = ["shard", "base"])]
     pub sim: Vec<String>,
-    /// Roads on which the lane model is known to work; each source is one more nominal domain, but rendered drives that
-    /// differ only in their seeds are one domain
+    /// Reference to which accepted roads are added, without looking at its own drives again: built-in, or a file. Its
+    /// metric, window, rates and thresholds stay
+    #[arg(long, value_name = "built-in|FILE", conflicts_with_all = ["sim", "held_out", "labelled", "causes", "shard",
+        "false_alarms_per_hour", "metric", "window", "evidence", "rate", "idle_rate"])]
+    pub base: Option<String>,
+    /// Roads on which the lane model is known to work; together they are one more nominal domain
     #[arg(long, value_name = "SOURCE", num_args = 1..)]
     pub accept: Vec<String>,
+    /// The same for several domains: sources of one name are one domain
+    #[arg(long, value_name = "NAME=SOURCE", num_args = 1.., value_parser = named)]
+    pub accept_as: Vec<(String, String)>,
     /// Nominal drives that set and judge the rate of false alarms
     #[arg(long, value_name = "SOURCE", num_args = 1..)]
     pub held_out: Vec<String>,

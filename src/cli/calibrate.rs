@@ -6,38 +6,29 @@ use std::path::Path;
 use anyhow::{Context, bail};
 use gapwatch::calibration::shard::Shard;
 use gapwatch::calibration::survey::store::SurveyStore;
-use gapwatch::calibration::{Target, with_conditions};
+use gapwatch::calibration::{Shown, Target, with_conditions};
 use gapwatch::capture::drives;
 use gapwatch::reference::gap::Metric;
-use gapwatch::reference::gap::moments::SPANS_OWN;
+use gapwatch::reference::gap::energy_norm::SPANS_OWN;
 use gapwatch::reference::{
     Causes, Discriminant, EvidenceKind, JudgedRate, NominalDrives, Reference, Role, Span,
 };
 use gapwatch::statistics::event_rate::{Hours, Loudness, ThreeDigits};
 
-use super::calibration_plan::CalibrationPlan;
+use super::calibration_plan::{CalibrationPlan, PlannedDrive};
 use super::loaded_model::LoadedModel;
 use crate::cli::args::CalibrateArgs;
+
+/// What `--base` calls the reference inside the program.
+const BUILT_IN: &str = "built-in";
 
 pub fn run(args: &CalibrateArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
     if args.metric == Metric::Frechet {
         bail!("--metric frechet compares whole sets; wanted a metric that judges a window");
     }
-    let roles = [
-        (Role::Simulation, &args.sim),
-        (Role::Accepted, &args.accept),
-        (Role::HeldOut, &args.held_out),
-        (Role::Labelled, &args.labelled),
-    ];
-    let mut sources = Vec::new();
-    for (role, names) in roles {
-        for name in names {
-            sources.extend(drives(name)?.into_iter().map(|drive| (role, drive)));
-        }
-    }
-    for name in args.causes.iter().flat_map(|name| with_conditions(name)) {
-        let drives = drives(&name)?.into_iter();
-        sources.extend(drives.map(|drive| (Role::Cause, drive)));
+    let sources = sources(args)?;
+    if let Some(base) = &args.base {
+        return accept(args, base, sources, out);
     }
     if sources.is_empty() {
         bail!("no drive; wanted --sim, --accept, --held-out, --labelled or --causes");
@@ -86,6 +77,139 @@ pub fn run(args: &CalibrateArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
         .context("cannot write the reference")?;
     describe(&reference, &args.out, out)?;
     Ok(0)
+}
+
+fn sources(args: &CalibrateArgs) -> anyhow::Result<Vec<PlannedDrive>> {
+    let mut sources = Vec::new();
+    let mut add = |role: Role, domain: Option<&str>, name: &str| -> anyhow::Result<()> {
+        sources.extend(drives(name)?.into_iter().map(|source| PlannedDrive {
+            role,
+            domain: domain.map(str::to_owned),
+            source,
+        }));
+        Ok(())
+    };
+    let roles = [
+        (Role::Simulation, &args.sim),
+        (Role::Accepted, &args.accept),
+        (Role::HeldOut, &args.held_out),
+        (Role::Labelled, &args.labelled),
+    ];
+    for (role, names) in roles {
+        names.iter().try_for_each(|name| add(role, None, name))?;
+    }
+    for (domain, name) in &args.accept_as {
+        add(Role::Accepted, Some(domain), name)?;
+    }
+    for name in args.causes.iter().flat_map(|name| with_conditions(name)) {
+        add(Role::Cause, None, &name)?;
+    }
+    Ok(sources)
+}
+
+/// Adds accepted roads to a reference.
+fn accept(
+    args: &CalibrateArgs,
+    base: &str,
+    sources: Vec<PlannedDrive>,
+    out: &mut dyn Write,
+) -> anyhow::Result<u8> {
+    if sources.is_empty() {
+        bail!("no road; wanted --accept or --accept-as with --base");
+    }
+    let file = (base != BUILT_IN).then(|| Path::new(base));
+    let same = |file: &Path| match (file.canonicalize(), args.out.canonicalize()) {
+        (Ok(base), Ok(out)) => base == out,
+        _ => false,
+    };
+    if file.is_some_and(same) {
+        bail!(
+            "{}: --out is the file of --base; wanted another name",
+            args.out.display()
+        );
+    }
+    let reference = Reference::read(file)?;
+    if reference.metric != Metric::Mahalanobis {
+        bail!(
+            "{base}: a reference of {}; wanted one of {} for --base",
+            reference.metric,
+            Metric::Mahalanobis
+        );
+    }
+    let model = LoadedModel::load(&args.model)?;
+    reference.check_fits(base, &model.fingerprint)?;
+    let wanted = Target {
+        metric: reference.metric,
+        window_s: reference.window_s,
+        false_alarms_per_hour: reference.false_alarms.wanted_per_hour,
+        evidence: reference.evidence,
+        rate: reference.rate,
+    };
+    let plan = CalibrationPlan::new(model.fingerprint.clone(), wanted, sources)?;
+    let store = match &args.surveys {
+        Some(folder) => SurveyStore::open(folder, &model.fingerprint)?,
+        None => SurveyStore::temporary(&model.fingerprint)?,
+    };
+    let mut found = plan.find(&store, Some(&model.spec))?;
+    plan.look(&mut found, &model, &store)?;
+    let (reference, shown) = plan.accepted(found, reference, base)?;
+    reference
+        .write(&args.out)
+        .context("cannot write the reference")?;
+    describe(&reference, &args.out, out)?;
+    for (name, shown) in shown {
+        describe_accepted(&name, shown, out)?;
+    }
+    Ok(0)
+}
+
+/// Length of an accepted road, below which its own changes are not known, seconds.
+const ACCEPTED_MIN_S: f64 = 60.0;
+
+/// Says what stands behind an accepted domain, and what is missing.
+fn describe_accepted(name: &str, shown: Shown, out: &mut dyn Write) -> anyhow::Result<()> {
+    let drives = match shown.drives {
+        1 => "1 drive".to_owned(),
+        drives => format!("{drives} drives"),
+    };
+    writeln!(
+        out,
+        "  {name}: {drives} of {:.1} minutes together",
+        shown.seconds / 60.0
+    )?;
+    for (span, found) in Span::ALL.iter().zip(shown.spans) {
+        let missing = SPANS_OWN.saturating_sub(found);
+        let what = if span.is_change() {
+            "changes"
+        } else {
+            "windows"
+        };
+        write!(
+            out,
+            "    {what} of {} s that do not overlap: {found}",
+            span.length_s()
+        )?;
+        #[allow(clippy::cast_precision_loss)]
+        let minutes = missing as f64 * span.length_s() / 60.0;
+        match (missing, span.is_change()) {
+            (0, _) => writeln!(out)?,
+            (_, true) => writeln!(
+                out,
+                "; with {minutes:.1} minutes more, changes are judged by this road alone, until then by the simulation too"
+            )?,
+            (_, false) => writeln!(
+                out,
+                "; with {minutes:.1} minutes more, the spread of the simulation counts by half or less"
+            )?,
+        }
+    }
+    if shown.seconds < ACCEPTED_MIN_S {
+        log::warn!(
+            "{name}: {:.0} s of road are little; wanted {ACCEPTED_MIN_S:.0} s or more, on which light and surroundings change as they will",
+            shown.seconds
+        );
+    }
+    Ok(())
 }
 
 /// Writes a readable description of a reference; `file` is where it was written.

@@ -3,7 +3,7 @@
 mod labelled;
 
 use std::borrow::Cow;
-use std::collections::HashSet;
+use std::collections::{BTreeMap, HashSet};
 
 use anyhow::{Context, anyhow, bail};
 use gapwatch::calibration::drive::StoreError;
@@ -11,10 +11,10 @@ use gapwatch::calibration::shard::ShardSource;
 use gapwatch::calibration::survey::store::{Content, Stored, SurveyKind, SurveyStore};
 use gapwatch::calibration::survey::{Keep, Survey};
 use gapwatch::calibration::{
-    Calibrated, Domain, LabelledDrive, LabelledMeans, SurveyedDrive, Target, calibrate, cause_of,
-    learn_causes, looks,
+    Calibrated, Domain, LabelledDrive, LabelledMeans, Shown, SurveyedDrive, Target, accept,
+    calibrate, cause_of, learn_causes, looks, looks_to_accept,
 };
-use gapwatch::capture::{open, ranges, sort_drives, stamp, template};
+use gapwatch::capture::{open, ranges, sort_drives, stamp};
 use gapwatch::model::encoder::Encoder;
 use gapwatch::model::preprocess::CROP_NOTHING;
 use gapwatch::model::{ModelOptions, ModelSpec};
@@ -30,17 +30,27 @@ use super::progress;
 
 /// Name of the first nominal domain.
 const SIMULATION: &str = "simulation";
+/// Name of the domain of accepted drives without a name of their own.
+pub const ACCEPTED: &str = "accepted";
 
 /// Drives by role, sorted, and the calibration target.
 pub struct CalibrationPlan {
     pub model: ModelFingerprint,
     pub wanted: Target,
     simulation: Vec<String>,
-    /// One entry for each domain.
-    accepted: Vec<Vec<String>>,
+    /// Name and drives of each domain, by name.
+    accepted: BTreeMap<String, Vec<String>>,
     held_out: Vec<String>,
     labelled: Vec<String>,
     causes: Vec<String>,
+}
+
+/// A drive of a plan.
+pub struct PlannedDrive {
+    pub role: Role,
+    /// Name of an accepted domain; that of [`ACCEPTED`] if none is given.
+    pub domain: Option<String>,
+    pub source: String,
 }
 
 /// What has been found of a plan's drives.
@@ -52,27 +62,33 @@ pub struct Found {
 }
 
 impl CalibrationPlan {
-    /// Sorts drives. Accepted drives that differ only in their seeds are one domain.
+    /// Sorts drives. Accepted drives of one name are one domain.
     pub fn new(
         model: ModelFingerprint,
         wanted: Target,
-        drives: Vec<(Role, String)>,
+        drives: Vec<PlannedDrive>,
     ) -> anyhow::Result<Self> {
         let of_role = |wanted: Role| {
-            let own = drives.iter().filter(|(role, _)| *role == wanted);
-            let mut names: Vec<String> = own.map(|(_, name)| name.clone()).collect();
+            let own = drives.iter().filter(|drive| drive.role == wanted);
+            let mut names: Vec<String> = own.map(|drive| drive.source.clone()).collect();
             sort_drives(&mut names);
             names
         };
-        let accepted = of_role(Role::Accepted);
+        let mut accepted: BTreeMap<String, Vec<String>> = BTreeMap::new();
+        for drive in drives.iter().filter(|of| of.role == Role::Accepted) {
+            let name = drive.domain.as_deref().unwrap_or(ACCEPTED);
+            let own = accepted.entry(name.to_owned()).or_default();
+            own.push(drive.source.clone());
+        }
+        accepted.values_mut().for_each(|names| sort_drives(names));
+        if accepted.contains_key(SIMULATION) {
+            bail!("an accepted domain named {SIMULATION}; wanted another name");
+        }
         let plan = Self {
             model,
             wanted,
             simulation: of_role(Role::Simulation),
-            accepted: accepted
-                .chunk_by(|a, b| template(a) == template(b))
-                .map(<[String]>::to_vec)
-                .collect(),
+            accepted,
             held_out: of_role(Role::HeldOut),
             labelled: of_role(Role::Labelled),
             causes: of_role(Role::Cause),
@@ -90,7 +106,7 @@ impl CalibrationPlan {
         }
         if plan.accepted.len() >= COMPONENTS_MAX {
             bail!(
-                "{} accepted domains; wanted at most {}: one source may name many drives, as in seed=1..60",
+                "{} accepted domains; wanted at most {}: drives of one name are one domain",
                 plan.accepted.len(),
                 COMPONENTS_MAX - 1
             );
@@ -131,9 +147,10 @@ impl CalibrationPlan {
 
     /// All drives but the labelled ones.
     fn surveyed(&self) -> Vec<String> {
-        let accepted = self.accepted.concat();
-        [&self.simulation, &accepted, &self.held_out, &self.causes]
-            .into_iter()
+        let accepted = self.accepted.values();
+        std::iter::once(&self.simulation)
+            .chain(accepted)
+            .chain([&self.held_out, &self.causes])
             .flatten()
             .cloned()
             .collect()
@@ -250,17 +267,24 @@ impl CalibrationPlan {
 
     /// The drives with their roles and frames.
     pub fn sources(&self, found: &Found) -> anyhow::Result<Vec<ShardSource>> {
-        let of = |names: Vec<String>, role: Role| names.into_iter().map(move |name| (name, role));
-        let surveyed = of(self.simulation.clone(), Role::Simulation)
-            .chain(of(self.accepted.concat(), Role::Accepted))
-            .chain(of(self.held_out.clone(), Role::HeldOut))
-            .chain(of(self.causes.clone(), Role::Cause));
+        let of = |names: &[String], role: Role, domain: Option<&str>| -> Vec<_> {
+            let all = names.iter();
+            all.map(|name| (name.clone(), role, domain.map(str::to_owned)))
+                .collect()
+        };
+        let mut surveyed = of(&self.simulation, Role::Simulation, None);
+        for (name, drives) in &self.accepted {
+            surveyed.extend(of(drives, Role::Accepted, Some(name)));
+        }
+        surveyed.extend(of(&self.held_out, Role::HeldOut, None));
+        surveyed.extend(of(&self.causes, Role::Cause, None));
         let mut sources = Vec::new();
-        for ((source, role), drive) in surveyed.zip(&found.drives) {
+        for ((source, role, domain), drive) in surveyed.into_iter().zip(&found.drives) {
             let frames = drive.as_ref().map_or(0, SurveyedDrive::frames) as u64;
             sources.push(ShardSource {
                 source,
                 role,
+                domain,
                 frames,
             });
         }
@@ -268,6 +292,7 @@ impl CalibrationPlan {
             sources.push(ShardSource {
                 source: source.clone(),
                 role: Role::Labelled,
+                domain: None,
                 frames: labelled::frame_count(source)?,
             });
         }
@@ -281,19 +306,13 @@ impl CalibrationPlan {
         let bar = progress::over(Some(0), "thresholds", "looks at drives");
         let drives: Vec<CountedDrive<'_, _>> = counted(&drives, &bar);
         let labelled: Vec<CountedDrive<'_, _>> = counted(&labelled, &bar);
-        let (simulation, mut rest) = drives.split_at(self.simulation.len());
+        let (simulation, rest) = drives.split_at(self.simulation.len());
         let mut domains = vec![Domain {
             name: SIMULATION.to_owned(),
             drives: simulation,
         }];
-        for names in &self.accepted {
-            let (own, others) = rest.split_at(names.len());
-            domains.push(Domain {
-                name: ranges(names).join(" "),
-                drives: own,
-            });
-            rest = others;
-        }
+        let (accepted, rest) = self.accepted_domains(rest);
+        domains.extend(accepted);
         let (held_out, causes) = rest.split_at(self.held_out.len());
         let mut length = looks(&domains, held_out, &labelled, self.wanted);
         if !causes.is_empty() {
@@ -321,6 +340,7 @@ impl CalibrationPlan {
             sources.push(SourceUse {
                 source: name.clone(),
                 role: Some(Role::Labelled),
+                domain: None,
                 frames,
                 fitted: frames,
                 held_out: 0,
@@ -347,18 +367,80 @@ impl CalibrationPlan {
         .with_causes(causes))
     }
 
+    /// Accepted domains, and the drives after theirs.
+    fn accepted_domains<'d, D>(&self, drives: &'d [D]) -> (Vec<Domain<'d, D>>, &'d [D]) {
+        let (mut domains, mut rest) = (Vec::new(), drives);
+        for (name, names) in &self.accepted {
+            let (own, others) = rest.split_at(names.len());
+            domains.push(Domain {
+                name: name.clone(),
+                drives: own,
+            });
+            rest = others;
+        }
+        (domains, rest)
+    }
+
+    /// Adds the accepted drives, all of which have been found, to a reference; `base` is what was typed for it.
+    pub fn accepted(
+        &self,
+        found: Found,
+        reference: Reference,
+        base: &str,
+    ) -> anyhow::Result<(Reference, Vec<(String, Shown)>)> {
+        for component in &reference.components {
+            if self.accepted.contains_key(&component.name) {
+                bail!(
+                    "domain {} is in the reference {base} already; wanted another name with --accept-as",
+                    component.name
+                );
+            }
+        }
+        let domains_now = self.accepted.len() + reference.components.len();
+        if domains_now > COMPONENTS_MAX {
+            bail!("{domains_now} nominal domains; wanted at most {COMPONENTS_MAX}");
+        }
+        let drives = all(found.drives)?;
+        let bar = progress::over(Some(0), "thresholds", "looks at drives");
+        let drives: Vec<CountedDrive<'_, _>> = counted(&drives, &bar);
+        let (domains, _) = self.accepted_domains(&drives);
+        bar.set_length(looks_to_accept(&domains, self.wanted));
+        let accepted = accept(&reference.components[0], &domains, self.wanted)?;
+        bar.finish_and_clear();
+        let mut words = words(&["gapwatch", "calibrate", "--base"]);
+        words.push(quoted(base));
+        self.add_accepted(&mut words);
+        words.extend(self::words(&["--out", "reference.json"]));
+        let names = domains.iter().map(|domain| domain.name.clone());
+        Ok((
+            reference.accepting(accepted.components, accepted.sources, words.join(" ")),
+            names.zip(accepted.shown).collect(),
+        ))
+    }
+
+    fn add_accepted(&self, words: &mut Vec<String>) {
+        for (name, drives) in &self.accepted {
+            if name == ACCEPTED {
+                words.push("--accept".to_owned());
+                words.extend(ranges(drives).iter().map(|drive| quoted(drive)));
+            } else {
+                let named = ranges(drives);
+                let named = named.iter().map(|drive| quoted(&format!("{name}={drive}")));
+                words.push("--accept-as".to_owned());
+                words.extend(named);
+            }
+        }
+    }
+
     /// A command that makes the reference again. It does not depend on what was typed, so it has no names of files on
     /// one machine.
     fn command(&self, rate: JudgedRate) -> anyhow::Result<String> {
-        let mut words: Vec<String> = vec!["gapwatch".to_owned(), "calibrate".to_owned()];
+        let mut words = words(&["gapwatch", "calibrate"]);
+        add_to(&mut words, "--sim", &ranges(&self.simulation));
+        self.add_accepted(&mut words);
         let mut add = |flag: &str, values: &[String]| {
-            if !values.is_empty() {
-                words.push(flag.to_owned());
-                words.extend(values.iter().map(|value| quoted(value)));
-            }
+            add_to(&mut words, flag, values);
         };
-        add("--sim", &ranges(&self.simulation));
-        add("--accept", &ranges(&self.accepted.concat()));
         add("--held-out", &ranges(&self.held_out));
         add("--labelled", &ranges(&self.labelled));
         add("--causes", &ranges(&self.causes));
@@ -477,6 +559,18 @@ fn lane_stamp(spec: &ModelSpec) -> String {
 fn comma_separated<T: ToString>(values: &[T]) -> String {
     let values: Vec<String> = values.iter().map(ToString::to_string).collect();
     values.join(",")
+}
+
+fn words(of: &[&str]) -> Vec<String> {
+    of.iter().map(|&word| word.to_owned()).collect()
+}
+
+/// Adds an option and its values to a command.
+fn add_to(words: &mut Vec<String>, flag: &str, values: &[String]) {
+    if !values.is_empty() {
+        words.push(flag.to_owned());
+        words.extend(values.iter().map(|value| quoted(value)));
+    }
 }
 
 /// A word as it can be typed in a shell.

@@ -12,7 +12,7 @@ use gapwatch::calibration::survey::store::SurveyStore;
 use gapwatch::reference::{JudgedRate, Role};
 
 use super::calibrate::describe;
-use super::calibration_plan::CalibrationPlan;
+use super::calibration_plan::{CalibrationPlan, PlannedDrive};
 use super::loaded_model::LoadedModel;
 use crate::cli::args::MergeArgs;
 
@@ -49,7 +49,12 @@ pub fn run(args: &MergeArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
         model.name.clone_from(name);
     }
     let sources = || parts.iter().flat_map(|(_, part)| &part.sources);
-    let drives = sources().map(|of| (of.role, of.source.clone())).collect();
+    let drives = sources().map(|of| PlannedDrive {
+        role: of.role,
+        domain: of.domain.clone(),
+        source: of.source.clone(),
+    });
+    let drives = drives.collect();
     // A reference names the rate of its own drives, which may be slower than that asked for.
     let rates = parts.iter().map(|(_, part)| part.rate);
     let wanted = Target {

@@ -8,7 +8,8 @@ use crate::capture::undefined::Undefined;
 use crate::features::attention::EnergyMap;
 use crate::features::energies::BlockMeans;
 use crate::features::histogram::{Binning, HistogramSum};
-use crate::reference::gap::moments::{self, EnergyNorm, Moments};
+use crate::reference::gap::energy_norm::EnergyNorm;
+use crate::reference::gap::moments::{self, Moments};
 use crate::reference::gap::{Divergence, Metric, NeedsLabels, frechet};
 use crate::statistics::quantile::median;
 

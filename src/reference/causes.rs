@@ -8,7 +8,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::reference::cause::{Cause, LikelyCause};
-use crate::reference::gap::moments::{EnergyNorm, each_whitened};
+use crate::reference::gap::energy_norm::{EnergyNorm, each_whitened};
 use crate::reference::nominal::{Nominal, TapReference};
 use crate::reference::span::Span;
 

@@ -160,9 +160,12 @@ pub struct SourceUse {
     /// Its role; unknown in references that were made before roles were written.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub role: Option<Role>,
+    /// Name of the accepted domain to which it belongs.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub domain: Option<String>,
     /// Number of its frames.
     pub frames: u64,
-    /// Frames that made the histograms.
+    /// Frames that made means and covariances, or histograms.
     pub fitted: u64,
     /// Frames that made medians and thresholds.
     pub held_out: u64,
@@ -319,6 +322,21 @@ impl Reference {
             components,
             causes: None,
         }
+    }
+
+    /// The same with more nominal domains, made of some sources by a command.
+    #[must_use]
+    pub fn accepting(
+        mut self,
+        components: Vec<Component>,
+        sources: Vec<SourceUse>,
+        command: String,
+    ) -> Self {
+        self.components.extend(components);
+        self.strict = is_strict(self.metric, &self.components);
+        self.provenance.sources.extend(sources);
+        self.provenance.command = command;
+        self
     }
 
     /// The same with what is known of causes.
@@ -480,6 +498,12 @@ impl Component {
             values = rest;
             (tap, own)
         })
+    }
+
+    /// Takes the margins of another domain, see [`TapReference::widen_like`].
+    pub fn widen_like(&mut self, other: &Self) {
+        let taps = self.taps.iter_mut().zip(&other.taps);
+        taps.for_each(|(own, of)| own.widen_like(of));
     }
 
     /// How many numbers some domains take from a frame.

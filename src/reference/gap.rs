@@ -6,6 +6,8 @@ mod hellinger;
 mod jensen_shannon;
 pub mod lane_risk;
 pub mod moments;
+
+pub mod energy_norm;
 mod pearson;
 mod shares;
 mod wasserstein;

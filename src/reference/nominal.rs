@@ -6,8 +6,9 @@ use crate::capture::undefined::Undefined;
 use crate::features::attention::EnergyMap;
 use crate::features::energies::BlockMeans;
 use crate::features::histogram::Binning;
+use crate::reference::gap::energy_norm::EnergyNorm;
 use crate::reference::gap::lane_risk::LaneRisk;
-use crate::reference::gap::moments::{EnergyNorm, energy_levels};
+use crate::reference::gap::moments::energy_levels;
 use crate::reference::gap::{Comparison, Metric};
 use crate::reference::span::{SPREAD_MIN, Span, SpanNorm};
 
@@ -105,6 +106,24 @@ impl TapReference {
             );
         }
         self.span_fault()
+    }
+
+    /// Takes the margins of another domain: each threshold is as many times its median as there, not below the threshold
+    /// there, and not below what it was. The spread of this domain contains that of the other one, so another road of this
+    /// kind may differ from it as roads of the other domain differ.
+    pub fn widen_like(&mut self, other: &Self) {
+        let wider = |own: (f64, f64), of: (f64, f64)| {
+            let times = of.1 / of.0.max(SPREAD_MIN);
+            own.1.max(of.1).max(own.0 * times)
+        };
+        for (point, of) in self.scale.iter_mut().zip(&other.scale) {
+            let margins = (of.median, of.threshold);
+            point.threshold = wider((point.median, point.threshold), margins);
+        }
+        for (norm, of) in self.spans.iter_mut().zip(&other.spans) {
+            let margins = (of.median, of.threshold);
+            norm.threshold = wider((norm.median, norm.threshold), margins);
+        }
     }
 
     /// Moves the thresholds of a part of the evidence (0 the window, then the spans) away from their medians by a

@@ -5,7 +5,7 @@ use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
-use crate::reference::gap::moments::EnergyNorm;
+use crate::reference::gap::energy_norm::EnergyNorm;
 
 /// Smallest distance of a threshold from its median.
 pub const SPREAD_MIN: f64 = 1e-9;

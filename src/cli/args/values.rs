@@ -76,6 +76,14 @@ pub fn frames_a_second(text: &str) -> Result<f64, String> {
     rate.ok_or_else(|| "wanted frames a second from 0.1 to 240".to_owned())
 }
 
+/// Parses a name and what it stands for.
+pub fn named(text: &str) -> Result<(String, String), String> {
+    let parts = text.split_once('=');
+    let parts = parts.filter(|(name, what)| !name.is_empty() && !what.is_empty());
+    let (name, what) = parts.ok_or("wanted NAME=SOURCE")?;
+    Ok((name.to_owned(), what.to_owned()))
+}
+
 /// Parses a whole number in a range; the error says what was wanted.
 pub fn whole<T>(
     range: RangeInclusive<T>,

@@ -1,6 +1,7 @@
 #![allow(clippy::unwrap_used, clippy::float_cmp)]
 use super::*;
-use crate::reference::gap::moments::{EnergyNorm, NO_DIFFERENCE};
+use crate::reference::gap::energy_norm::EnergyNorm;
+use crate::reference::gap::moments::NO_DIFFERENCE;
 use crate::reference::{ScalePoint, SpanNorm};
 
 fn norm() -> EnergyNorm {

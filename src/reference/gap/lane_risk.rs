@@ -7,7 +7,8 @@
 use nalgebra::{Cholesky, DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 
-use super::moments::{Moments, SPREAD_FLOOR, STEPS_PER_NAT, energy_levels};
+use super::energy_norm::SPREAD_FLOOR;
+use super::moments::{Moments, STEPS_PER_NAT, energy_levels};
 use crate::capture::undefined::Undefined;
 
 /// Deviations from nominal are limited to this number of spreads: far outside, a larger deviation does not mean a
