@@ -44,7 +44,7 @@ mod sources;
 pub use compressed::jpeg;
 pub use frame::{Frame, FrameSource, Place, SourceError, time_of};
 pub use images::FOLDER_FPS;
-pub use names::{camera_of, drives, ranges, sort_drives, stamp, template};
+pub use names::{camera_of, drives, is_rendered, ranges, sort_drives, stamp};
 pub use picture::{PIXELS_MAX, Picture, PictureError};
 pub use sources::{
     BUILT_IN_DRIVE, camera_facts, open, open_camera, register_overlay, register_scenes,

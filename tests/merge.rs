@@ -67,7 +67,7 @@ fn merged_shards_are_the_reference_of_one_run_bit_for_bit_in_any_order_and_group
         "--out",
         "one.json",
     ];
-    gapwatch_threads(folder, 1, &args).ok();
+    let said = gapwatch_threads(folder, 1, &args).ok();
     let one = bytes(folder, "one.json");
     // Two references of their own.
     let of_two = [
@@ -104,15 +104,7 @@ fn merged_shards_are_the_reference_of_one_run_bit_for_bit_in_any_order_and_group
     ] {
         let merged = gapwatch_in(folder, &[&["merge"], files, &["--out", "m.json"]].concat());
         assert_eq!(looked_again(&merged), None, "{files:?}");
-        // Its one judging drive is ten seconds with entries.
-        assert!(
-            merged
-                .err
-                .contains("m.json: false alarms are louder than asked: at least "),
-            "{}",
-            merged.err
-        );
-        merged.ok();
+        assert_eq!(merged.ok(), said.replace("one.json", "m.json"), "{files:?}");
         assert!(bytes(folder, "m.json") == one, "{files:?}");
     }
     // A merge of merges.
@@ -129,7 +121,7 @@ fn merged_shards_are_the_reference_of_one_run_bit_for_bit_in_any_order_and_group
     );
     assert!(command.starts_with(&names), "{command}");
     let name = reference["components"][1]["name"].as_str().unwrap();
-    assert_eq!(name, game("1..4"));
+    assert_eq!(name, "accepted");
     // Without surveys the drives are looked at again.
     fs::create_dir(folder.join("far")).unwrap();
     for name in ["a.json", "b.json"] {

@@ -4,6 +4,7 @@ mod clips;
 mod machine;
 mod program;
 
+mod accept;
 mod bench;
 mod cli;
 mod doctor;

@@ -130,12 +130,7 @@ fn seed_in(name: &str) -> Option<(&str, &str, &str)> {
     Some((before, seed, after))
 }
 
-/// A drive's name without its seed: drives of the same template differ only in their seeds. Each file or folder is its
-/// own template.
-pub fn template(name: &str) -> String {
-    parts(name).0
-}
-
+/// A drive's name without its seed, its template, and its seed. Each file or folder is its own template.
 fn parts(name: &str) -> (String, Option<u64>) {
     let seeded = seed_in(name).and_then(|(before, seed, after)| {
         let number: u64 = seed.parse().ok()?;
@@ -199,6 +194,11 @@ pub fn name_order(name: &str) -> Vec<NamePart> {
         .collect()
 }
 
+/// Whether a name means a rendered drive or noise, and no pictures of a real road.
+pub fn is_rendered(name: &str) -> bool {
+    name.starts_with("scene:") || name.starts_with("random:")
+}
+
 /// A stamp that changes if the files behind a name change: a hash of the names, sizes and times of change of a file, or
 /// of the files in a folder; empty for rendered drives. It does not notice a file that is rewritten with the same size
 /// within the time resolution of the disk.
@@ -206,7 +206,7 @@ pub fn name_order(name: &str) -> Vec<NamePart> {
 /// # Errors
 /// When there is no such file or folder.
 pub fn stamp(name: &str) -> Result<String, SourceError> {
-    if name.starts_with("scene:") || name.starts_with("random:") {
+    if is_rendered(name) {
         return Ok(String::new());
     }
     let FileName { path, .. } = file_name(name)?;
@@ -291,7 +291,7 @@ mod tests {
             .flat_map(|name| drives(name).unwrap())
             .collect();
         assert_eq!(again, names);
-        assert_eq!(template(&names[2]), template(&names[3]));
+        assert_eq!(parts(&names[2]).0, parts(&names[3]).0);
     }
 
     #[test]

@@ -39,7 +39,7 @@ pub fn read_reference(board: &Board, file: &Path) -> anyhow::Result<Reference> {
     if reference.strict && !board.monitor.strict {
         bail!(
             "{}: the reference {} is made of simulation alone, so any real road is a gap to it; wanted reference = \"FILE\" \
-             with accepted drives, or strict = true, in [monitor]",
+             with accepted roads (gapwatch calibrate --base built-in --accept ROAD --out FILE), or strict = true, in [monitor]",
             file.display(),
             board
                 .monitor

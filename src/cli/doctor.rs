@@ -112,7 +112,7 @@ fn reference(
     let reference = match read_reference(board, &args.board) {
         Ok(reference) => reference,
         Err(error) => {
-            let remedy = "make a reference (gapwatch calibrate --accept) and name it in [monitor], with strict = true if it is strict";
+            let remedy = "accept your roads (gapwatch calibrate --base built-in --accept ROAD --out my-roads.json) and name the file in [monitor], with strict = true if it is strict";
             return (None, Check::fail("reference", format!("{error:#}"), remedy));
         }
     };

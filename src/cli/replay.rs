@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, bail};
 use gapwatch::can::{CanSettings, Sink};
 use gapwatch::capture::clock::ClockTime;
-use gapwatch::capture::{BUILT_IN_DRIVE, Frame, FrameSource, open};
+use gapwatch::capture::{BUILT_IN_DRIVE, Frame, FrameSource, is_rendered, open};
 use gapwatch::live::bus::Bus;
 use gapwatch::live::outputs::{OutputError, Outputs};
 use gapwatch::monitor::alarm::AlarmState;
@@ -56,6 +56,12 @@ pub fn run(args: &ReplayArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
     let source_name = args.source.as_deref().unwrap_or(BUILT_IN_DRIVE);
     let mut source = open(source_name)?;
     let about = About::new(source_name, &reference_name, &reference);
+    if reference.strict && !is_rendered(source_name) {
+        log::warn!(
+            "the reference {reference_name} knows simulation alone, so any real road is a gap to it; \
+             gapwatch calibrate --base {reference_name} --accept ROAD --out my-roads.json accepts roads"
+        );
+    }
     let (taps, began) = (&model.spec.taps, ClockTime::now());
     let journal = args.journal.as_deref();
     let journal = journal.map(|path| Journal::create(path, taps, &began, &about));

@@ -9,7 +9,7 @@ use crate::record::journal::About;
 pub fn calibration(about: &About) -> Markup {
     let window = format!("{} s", about.window_s);
     let made_of = if about.strict {
-        "simulation alone: any real road is a standing gap to it"
+        "simulation alone: any real road is a standing gap to it; gapwatch calibrate --base … --accept ROAD accepts roads"
     } else {
         "simulation and accepted drives"
     };
