@@ -85,6 +85,7 @@ pub fn run(args: &EvaluateArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
     } else {
         None
     };
+    let also = Watched::also(args)?;
     if let Some(watched) = watched.as_ref().filter(|_| wanted(EvaluateKey::Cause)) {
         let knows = watched.reference.causes.is_some();
         if args.only == Some(EvaluateKey::Cause) && !knows {
@@ -129,7 +130,10 @@ pub fn run(args: &EvaluateArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
                 results.set(key, &rows, &command::made(key, args))?;
             }
             (EvaluateKey::DomainDetection, Some(watched), _) => {
-                let rows = domain_detection::rows(watched, args)?;
+                let mut rows = domain_detection::rows(watched, args)?;
+                for watched in &also {
+                    rows.extend(domain_detection::rows(watched, args)?);
+                }
                 results.set(key, &rows, &command::made(key, args))?;
             }
             (EvaluateKey::FalseAlarms, Some(watched), _) => {

@@ -1,8 +1,9 @@
 //! Frames over time → whether the camera works, before the frames are judged.
 //!
 //! It detects what no road can produce: a picture that does not change by a single bit; a lens that is black over more
-//! than half of its area, or without any structure and motion over more than 60 % of it; and frames whose numbers or
-//! times do not increase. It does not judge light and weather: night, fog, rain, glare, blur and dirt are gaps, and a
+//! than half of its area, or without any structure and motion over more than 60 % of it, and over more than half of the
+//! road before the car; and frames whose numbers or times do not increase. On an unlit night, sky, roadsides and bonnet are
+//! black, but the headlights show the road. It does not judge light and weather: night, fog, rain, glare, blur and dirt are gaps, and a
 //! fault would hide them. A test checks this on rendered drives.
 
 use std::ops::Range;
@@ -34,6 +35,11 @@ const STILL: Duration = Duration::from_secs(1);
 /// If more than this share of the blocks are without structure and motion, the lens is covered. Fog and tunnels do this
 /// to half of a picture, which is everything above the road, also at severity 5.
 const STILL_PERCENT: usize = 60;
+
+/// Columns and rows of blocks in which the road before the car is.
+const ROAD: (Range<usize>, Range<usize>) = (4..12, 4..7);
+/// If more than this share of these blocks show nothing, the road is hidden.
+const ROAD_PERCENT: usize = 50;
 
 /// Number of rows whose brightness can be added up without an overflow.
 const ROWS_MAX: usize = 257;
@@ -108,17 +114,20 @@ impl CameraHealth {
             self.since = frame.captured_at;
         }
         self.look_at_blocks(frame.captured_at, pixels);
-        let share = |is: &dyn Fn(&Block) -> bool| {
-            let count = self.blocks.iter().filter(|block| is(block)).count();
-            (100 * count).div_ceil(self.blocks.len().max(1))
+        let is_still = |block: &Block| {
+            let since = |began: &([u8; CELLS * CELLS], Duration)| {
+                frame.captured_at.saturating_sub(began.1) >= STILL
+            };
+            block.black || block.began.as_ref().is_some_and(since)
         };
-        let black = share(&|block| block.black);
-        let still = share(&|block| {
-            let since =
-                |began: ([u8; CELLS * CELLS], Duration)| frame.captured_at.saturating_sub(began.1);
-            block.black || block.began.is_some_and(|began| since(began) >= STILL)
-        });
-        let covered = black > COVERED_PERCENT || still > STILL_PERCENT;
+        let black = share(self.blocks.iter(), |block| block.black);
+        let still = share(self.blocks.iter(), is_still);
+        let road =
+            self.blocks.iter().enumerate().filter(|(n, _)| {
+                ROAD.0.contains(&(n % BLOCKS.0)) && ROAD.1.contains(&(n / BLOCKS.0))
+            });
+        let hides_road = share(road.map(|(_, block)| block), is_still) > ROAD_PERCENT;
+        let covered = hides_road && (black > COVERED_PERCENT || still > STILL_PERCENT);
         // A picture that is all black has a reason of its own too.
         if covered && black < 100 && !pixels.is_uniform() {
             let percent = u8::try_from(black.max(still)).unwrap_or(100);
@@ -195,6 +204,16 @@ impl CameraHealth {
             block.keep_or_begin(now);
         }
     }
+}
+
+/// Share of blocks, per cent, rounded up; 0 of none.
+fn share<'a>(blocks: impl Iterator<Item = &'a Block>, is: impl Fn(&Block) -> bool) -> usize {
+    let (mut all, mut count) = (0, 0);
+    for block in blocks {
+        all += 1;
+        count += usize::from(is(block));
+    }
+    (100 * count).div_ceil(all.max(1))
 }
 
 /// Brightness in one column of some rows.
@@ -350,6 +369,28 @@ mod tests {
         // An all black picture is recognised by its brightness.
         let black = frame(300, |x, y| u8::try_from((x + y) % 4).unwrap());
         assert_eq!(health.check(&black), Ok(()));
+    }
+
+    #[test]
+    fn an_unlit_night_shows_the_road_and_a_hand_before_it_does_not() {
+        // Black sky, roadsides and bonnet, and a cone of headlights in the middle, with the road moving through it.
+        let night = |millis: u64, lit: std::ops::Range<u32>| {
+            frame(millis, move |x, y| {
+                let in_cone = lit.contains(&x) && (15..28).contains(&y);
+                let road = 30 + (x * 7 + y * 11 + millis as u32 / 20) % 60;
+                if in_cone { road as u8 } else { 3 }
+            })
+        };
+        let mut health = CameraHealth::default();
+        for n in 0..30 {
+            assert_eq!(health.check(&night(100 * n, 16..48)), Ok(()), "{n}");
+        }
+        // The same night, and something before three quarters of the cone.
+        let covered = health.check(&night(3_000, 40..48));
+        assert!(
+            matches!(covered, Err(Undefined::Covered { .. })),
+            "{covered:?}"
+        );
     }
 
     #[test]

@@ -113,6 +113,9 @@ pub struct EvaluateArgs {
     /// Reference to judge (default: the one inside the program)
     #[arg(long, value_name = "FILE")]
     pub reference: Option<PathBuf>,
+    /// For domain_detection: more references of the same model, judged on the same drives, in tables of their own
+    #[arg(long, value_name = "FILE", num_args = 1..)]
+    pub also: Vec<PathBuf>,
     /// The look that is nominal for this reference
     #[arg(long, value_name = "NAME", default_value_t = Look::Sim)]
     pub look: Look,

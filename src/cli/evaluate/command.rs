@@ -58,6 +58,10 @@ fn command(key: EvaluateKey, args: &EvaluateArgs) -> String {
         if let Some(path) = &args.reference {
             words.push(format!("--reference {}", portable(path)));
         }
+        if key == EvaluateKey::DomainDetection && !args.also.is_empty() {
+            let also: Vec<String> = args.also.iter().map(|path| portable(path)).collect();
+            words.push(format!("--also {}", also.join(" ")));
+        }
         if args.look != Look::Sim {
             words.push(format!("--look {}", args.look));
         }
@@ -103,7 +107,7 @@ mod tests {
             }
             Typed::parse_from(words.split(' ')).args
         };
-        let args = args("evaluate --stretch 800 --fps 2 --hours 6 --drives 4");
+        let args = args("evaluate --stretch 800 --fps 2 --hours 6 --drives 4 --also frames.json");
         assert_eq!(
             command(EvaluateKey::FalseAlarms, &args),
             "gapwatch evaluate --only false_alarms --hours 6 --stretch 800 --fps 2"
@@ -111,6 +115,10 @@ mod tests {
         assert_eq!(
             command(EvaluateKey::Cause, &args),
             "gapwatch evaluate --only cause --drives 4 --stretch 800"
+        );
+        assert_eq!(
+            command(EvaluateKey::DomainDetection, &args),
+            "gapwatch evaluate --only domain_detection --drives 4 --also frames.json --stretch 800"
         );
     }
 }

@@ -1,5 +1,7 @@
 //! The monitor that is judged: one model and its reference.
 
+use std::path::Path;
+
 use anyhow::{Context, bail};
 use gapwatch::lab::scene::Look;
 use gapwatch::model::encoder::Encoder;
@@ -19,11 +21,18 @@ pub struct Watched {
 impl Watched {
     /// Opens model and reference. A reference of another model is refused.
     pub fn open(args: &EvaluateArgs) -> anyhow::Result<Self> {
-        let reference = Reference::read(args.reference.as_deref())?;
-        let name = args
-            .reference
-            .as_ref()
-            .map_or_else(|| "built-in".to_owned(), |path| path.display().to_string());
+        Self::of(args, args.reference.as_deref())
+    }
+
+    /// The same with each reference that is judged beside it.
+    pub fn also(args: &EvaluateArgs) -> anyhow::Result<Vec<Self>> {
+        let all = args.also.iter().map(|path| Self::of(args, Some(path)));
+        all.collect()
+    }
+
+    fn of(args: &EvaluateArgs, file: Option<&Path>) -> anyhow::Result<Self> {
+        let reference = Reference::read(file)?;
+        let name = file.map_or_else(|| "built-in".to_owned(), |path| path.display().to_string());
         let model = match args.model.as_slice() {
             [] => None,
             [one] => Some(one.as_path()),
@@ -35,7 +44,7 @@ impl Watched {
         Ok(Self {
             encoder,
             reference,
-            default: args.reference.is_none() && args.look == Look::Sim,
+            default: file.is_none() && args.look == Look::Sim,
         })
     }
 
