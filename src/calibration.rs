@@ -24,6 +24,8 @@ mod calibrate;
 mod cause_names;
 mod causes;
 
+mod lanes;
+
 pub mod shard;
 
 pub use binning::{
@@ -38,5 +40,6 @@ pub use causes::{LearntCauses, learn_causes};
 pub use drive::{LabelledDrive, LabelledMeans, SurveyedDrive};
 pub use error::CalibrationError;
 pub use false_alarms::{DriveScores, is_judging};
+pub use lanes::learn_lanes;
 pub use target::Target;
 pub use windows::drive_scores;

@@ -19,11 +19,14 @@ mod nominal;
 mod rate;
 mod span;
 
+mod lanes;
+
 mod file;
 mod pretty;
 
 pub use causes::*;
 pub use file::*;
+pub use lanes::*;
 pub use nominal::*;
 pub use rate::*;
 pub use span::*;

@@ -14,6 +14,7 @@ mod evidence;
 mod fuzz;
 mod hard_cases;
 mod lab;
+mod lanes;
 mod layers;
 mod merge;
 mod monitor;

@@ -26,6 +26,9 @@ pub enum CalibrationError {
     /// Causes cannot be learnt from what was given.
     #[error("--causes: {0}")]
     Causes(String),
+    /// A forecast of lanes cannot be learnt from what was given.
+    #[error("--labelled: {0}")]
+    Lanes(String),
     /// Histograms cannot be compared.
     #[error("tap {tap}, metric {metric}: {why}")]
     Comparison {

@@ -180,8 +180,7 @@ pub struct CalibrateArgs {
     /// Nominal drives that set and judge the rate of false alarms
     #[arg(long, value_name = "SOURCE", num_args = 1..)]
     pub held_out: Vec<String>,
-    /// For --metric lane-risk: rendered drives from which it learns what the model loses; each is used as it is and
-    /// under every condition
+    /// Rendered drives from which a forecast of lost lanes is learnt; each is used as it is and under every condition
     #[arg(long, value_name = "scene:…", num_args = 1..)]
     pub labelled: Vec<String>,
     /// Drives from which it learns what the cause of a gap or a change is: a source without a condition stands for itself

@@ -247,6 +247,14 @@ pub fn describe(reference: &Reference, file: &Path, out: &mut dyn Write) -> anyh
     if let Some(causes) = &reference.causes {
         describe_causes(causes, out)?;
     }
+    if let Some(lanes) = &reference.lanes {
+        let on = lanes.judged;
+        writeln!(
+            out,
+            "  lanes: a forecast from {} labelled frames; on {} frames that a forecast from half of them has not seen, it misses by {:.3} on average, and the mean loss by {:.3}",
+            lanes.frames, on.frames, on.mean_absolute_error, on.of_the_mean
+        )?;
+    }
     let said = |on: &NominalDrives| {
         let counted = format!(
             "{} entries in {} of {} drives",

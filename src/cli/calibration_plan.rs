@@ -1,5 +1,6 @@
 //! What a reference is made of: drives by role, in a fixed order, and what the encoder saw of them.
 
+mod command;
 mod labelled;
 
 use std::borrow::Cow;
@@ -12,15 +13,14 @@ use gapwatch::calibration::survey::store::{Content, Stored, SurveyKind, SurveySt
 use gapwatch::calibration::survey::{Keep, Survey};
 use gapwatch::calibration::{
     Calibrated, Domain, LabelledDrive, LabelledMeans, Shown, SurveyedDrive, Target, accept,
-    calibrate, cause_of, learn_causes, looks, looks_to_accept,
+    calibrate, cause_of, learn_causes, learn_lanes, looks, looks_to_accept,
 };
-use gapwatch::capture::{open, ranges, sort_drives, stamp};
+use gapwatch::capture::{open, sort_drives, stamp};
+use gapwatch::model::ModelSpec;
 use gapwatch::model::encoder::Encoder;
-use gapwatch::model::preprocess::CROP_NOTHING;
-use gapwatch::model::{ModelOptions, ModelSpec};
 use gapwatch::reference::gap::Metric;
 use gapwatch::reference::{
-    COMPONENTS_MAX, JudgedRate, ModelFingerprint, Provenance, Reference, Role, SourceUse,
+    COMPONENTS_MAX, ModelFingerprint, Provenance, Reference, Role, SourceUse,
 };
 use indicatif::ProgressBar;
 use rayon::prelude::*;
@@ -112,8 +112,12 @@ impl CalibrationPlan {
             );
         }
         let risk = wanted.metric == Metric::LaneRisk;
-        if !risk && !plan.labelled.is_empty() {
-            bail!("--metric lane-risk and --labelled belong together; wanted both or neither");
+        if !risk && wanted.metric != Metric::Mahalanobis && !plan.labelled.is_empty() {
+            bail!(
+                "--labelled is for forecasts of lost lanes; wanted --metric {} or {}",
+                Metric::Mahalanobis,
+                Metric::LaneRisk
+            );
         }
         if risk && !plan.accepted.is_empty() {
             bail!(
@@ -140,7 +144,7 @@ impl CalibrationPlan {
             bail!("no nominal drive of the simulation; wanted at least one with --sim");
         }
         if self.wanted.metric == Metric::LaneRisk && self.labelled.is_empty() {
-            bail!("--metric lane-risk and --labelled belong together; wanted both or neither");
+            bail!("--metric lane-risk learns from lane labels; wanted --labelled");
         }
         Ok(())
     }
@@ -314,7 +318,12 @@ impl CalibrationPlan {
         let (accepted, rest) = self.accepted_domains(rest);
         domains.extend(accepted);
         let (held_out, causes) = rest.split_at(self.held_out.len());
-        let mut length = looks(&domains, held_out, &labelled, self.wanted);
+        let is_risk = self.wanted.metric == Metric::LaneRisk;
+        let of_metric = if is_risk { labelled.as_slice() } else { &[] };
+        let mut length = looks(&domains, held_out, of_metric, self.wanted);
+        if !is_risk && !labelled.is_empty() {
+            length += (simulation.len().div_ceil(2) + labelled.len()) as u64;
+        }
         if !causes.is_empty() {
             length += (simulation.len() + causes.len()) as u64;
         }
@@ -324,13 +333,23 @@ impl CalibrationPlan {
             false_alarms,
             mut sources,
             rate,
-        } = calibrate(&domains, held_out, &labelled, &self.model.taps, self.wanted)?;
+        } = calibrate(&domains, held_out, of_metric, &self.model.taps, self.wanted)?;
         let learnt = match causes {
             [] => None,
             drives => Some(learn_causes(
                 drives,
                 simulation,
                 &components[0],
+                self.wanted,
+            )?),
+        };
+        let lanes = match labelled.as_slice() {
+            [] => None,
+            _ if is_risk => None,
+            drives => Some(learn_lanes(
+                simulation,
+                &components[0],
+                drives,
                 self.wanted,
             )?),
         };
@@ -364,7 +383,8 @@ impl CalibrationPlan {
             provenance,
             components,
         )
-        .with_causes(causes))
+        .with_causes(causes)
+        .with_lanes(lanes))
     }
 
     /// Accepted domains, and the drives after theirs.
@@ -407,78 +427,11 @@ impl CalibrationPlan {
         bar.set_length(looks_to_accept(&domains, self.wanted));
         let accepted = accept(&reference.components[0], &domains, self.wanted)?;
         bar.finish_and_clear();
-        let mut words = words(&["gapwatch", "calibrate", "--base"]);
-        words.push(quoted(base));
-        self.add_accepted(&mut words);
-        words.extend(self::words(&["--out", "reference.json"]));
         let names = domains.iter().map(|domain| domain.name.clone());
         Ok((
-            reference.accepting(accepted.components, accepted.sources, words.join(" ")),
+            reference.accepting(accepted.components, accepted.sources, self.command_on(base)),
             names.zip(accepted.shown).collect(),
         ))
-    }
-
-    fn add_accepted(&self, words: &mut Vec<String>) {
-        for (name, drives) in &self.accepted {
-            if name == ACCEPTED {
-                words.push("--accept".to_owned());
-                words.extend(ranges(drives).iter().map(|drive| quoted(drive)));
-            } else {
-                let named = ranges(drives);
-                let named = named.iter().map(|drive| quoted(&format!("{name}={drive}")));
-                words.push("--accept-as".to_owned());
-                words.extend(named);
-            }
-        }
-    }
-
-    /// A command that makes the reference again. It does not depend on what was typed, so it has no names of files on
-    /// one machine.
-    fn command(&self, rate: JudgedRate) -> anyhow::Result<String> {
-        let mut words = words(&["gapwatch", "calibrate"]);
-        add_to(&mut words, "--sim", &ranges(&self.simulation));
-        self.add_accepted(&mut words);
-        let mut add = |flag: &str, values: &[String]| {
-            add_to(&mut words, flag, values);
-        };
-        add("--held-out", &ranges(&self.held_out));
-        add("--labelled", &ranges(&self.labelled));
-        add("--causes", &ranges(&self.causes));
-        let Target {
-            metric,
-            window_s,
-            false_alarms_per_hour,
-            evidence,
-            rate: _,
-        } = self.wanted;
-        add(
-            "--false-alarms-per-hour",
-            &[false_alarms_per_hour.to_string()],
-        );
-        add("--metric", &[metric.to_string()]);
-        add("--window", &[window_s.to_string()]);
-        add("--evidence", &[evidence.to_string()]);
-        add("--rate", &[rate.rate_hz.to_string()]);
-        add("--idle-rate", &[rate.idle_rate_hz.to_string()]);
-        let built_in = ModelSpec::new(None, ModelOptions::default())?;
-        let of = &self.model.preprocessing;
-        if self.model.name != built_in.name {
-            add("--model", std::slice::from_ref(&self.model.name));
-        }
-        if self.model.name != built_in.name
-            || self.model.taps != built_in.taps
-            || *of != built_in.preprocessing
-        {
-            add("--taps", &[self.model.taps.join(",")]);
-            add("--size", &[format!("{}x{}", of.width, of.height)]);
-            add("--mean", &[comma_separated(&of.mean)]);
-            add("--std", &[comma_separated(&of.std)]);
-            if of.crop != CROP_NOTHING {
-                add("--crop", &[comma_separated(&of.crop)]);
-            }
-        }
-        add("--out", &["reference.json".to_owned()]);
-        Ok(words.join(" "))
     }
 }
 
@@ -554,31 +507,4 @@ fn all<T>(found: Vec<Option<T>>) -> anyhow::Result<Vec<T>> {
 /// What a labelled drive's frames depend on besides the encoder: the lane output.
 fn lane_stamp(spec: &ModelSpec) -> String {
     spec.lane.clone().unwrap_or_default()
-}
-
-fn comma_separated<T: ToString>(values: &[T]) -> String {
-    let values: Vec<String> = values.iter().map(ToString::to_string).collect();
-    values.join(",")
-}
-
-fn words(of: &[&str]) -> Vec<String> {
-    of.iter().map(|&word| word.to_owned()).collect()
-}
-
-/// Adds an option and its values to a command.
-fn add_to(words: &mut Vec<String>, flag: &str, values: &[String]) {
-    if !values.is_empty() {
-        words.push(flag.to_owned());
-        words.extend(values.iter().map(|value| quoted(value)));
-    }
-}
-
-/// A word as it can be typed in a shell.
-fn quoted(word: &str) -> String {
-    let plain = |c: char| c.is_ascii_alphanumeric() || "-_./,:=+@%".contains(c);
-    if !word.is_empty() && word.chars().all(plain) {
-        word.to_owned()
-    } else {
-        format!("'{}'", word.replace('\'', "'\\''"))
-    }
 }

@@ -9,7 +9,7 @@ use gapwatch::monitor::alarm::AlarmState;
 use gapwatch::monitor::judge::Verdict;
 use indicatif::{HumanDuration, ProgressBar, ProgressDrawTarget, ProgressStyle};
 
-use super::state_lines::cause_of_evidence;
+use super::state_lines::{cause_of_evidence, lanes_lost};
 
 /// How often the line changes in a second: as often as it can be read.
 const HZ: u8 = 4;
@@ -109,9 +109,10 @@ fn line(verdict: &Verdict, rate_hz: Option<f64>, age: Duration) -> String {
     };
     let cause = cause_of_evidence(verdict);
     let cause = cause.map_or_else(String::new, |cause| format!("  {cause}"));
+    let lanes = lanes_lost(verdict);
     let rate = rate_hz.map_or_else(|| "  –".to_owned(), |hz| format!("{hz:>3.0}"));
     format!(
-        "{state}  {score}{cause}  {rate} frames/s  {:>4} ms old",
+        "{state}  {score}{lanes}{cause}  {rate} frames/s  {:>4} ms old",
         age.as_millis()
     )
 }

@@ -20,7 +20,7 @@ pub fn state_line(verdict: &Verdict) -> String {
         (_, None, Some(score)) => {
             // No minus sign before a score that rounds to zero.
             let hundredths = (100.0 * score).round() + 0.0;
-            line += &format!("  score {:.2}", hundredths / 100.0);
+            line += &format!("  score {:.2}{}", hundredths / 100.0, lanes_lost(verdict));
             if let Some(cause) = cause_of_evidence(verdict) {
                 line += &format!("  {}, likely cause: {cause}", verdict.reason.name());
             }
@@ -28,6 +28,12 @@ pub fn state_line(verdict: &Verdict) -> String {
         (_, None, None) => line += &format!("  {}", verdict.reason.name()),
     }
     line
+}
+
+/// The forecast of lost lanes, if there is one.
+pub fn lanes_lost(verdict: &Verdict) -> String {
+    let share = verdict.lanes.map(|share| (100.0 * share).round());
+    share.map_or_else(String::new, |percent| format!("  lanes lost {percent} %"))
 }
 
 /// The likely cause where there is evidence that needs one.
@@ -101,6 +107,14 @@ mod tests {
             ..gap.clone()
         };
         assert_eq!(state_line(&ok), "    20.3 s  Ok           score 0.00");
+        let costs_little = Verdict {
+            lanes: Some(0.146),
+            ..gap.clone()
+        };
+        assert_eq!(
+            state_line(&costs_little),
+            "    20.3 s  Gap          score 3.21  lanes lost 15 %  change, likely cause: dirt (84 %)"
+        );
         let dark = Verdict {
             state: AlarmState::SensorFault,
             reason: Reason::Black,

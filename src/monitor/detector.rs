@@ -14,7 +14,7 @@ use crate::monitor::span_watch::{SpanScore, SpanWatch};
 use crate::reference::cause::LikelyCause;
 use crate::reference::gap::Metric;
 use crate::reference::gap::moments::STEPS_PER_NAT;
-use crate::reference::{Causes, Component, Explained, Reference, Span};
+use crate::reference::{Causes, Component, Explained, LaneForecast, Reference, Span};
 
 /// Largest number of frames in a window. At higher frame rates the window is shorter than the wanted time.
 pub const WINDOW_FRAMES_MAX: usize = 32;
@@ -57,6 +57,8 @@ pub struct Evidence {
     pub fill: f64,
     /// What most likely causes it; only if there is something to explain, and if causes are known.
     pub cause: Option<LikelyCause>,
+    /// Forecast of the share of lanes that the model loses, 0 to 1; `None` if the reference has no forecast.
+    pub lanes: Option<f64>,
 }
 
 impl Evidence {
@@ -110,6 +112,7 @@ pub struct Detector {
     /// The domain that was nearest last.
     nearest: Option<usize>,
     causes: Option<Causes>,
+    lanes: Option<LaneForecast>,
     /// `[energies of all taps]`, what is to be explained.
     deviation: Vec<f64>,
 }
@@ -123,6 +126,7 @@ impl Detector {
             reference.window_s,
         )
         .with_causes(reference.causes.clone())
+        .with_lanes(reference.lanes.clone())
     }
 
     /// A detector that compares with some nominal domains.
@@ -137,6 +141,7 @@ impl Detector {
                 .collect(),
             watch: SpanWatch::new(&components, Duration::ZERO),
             causes: None,
+            lanes: None,
             deviation: vec![0.0; Component::taken_len(of_one.unwrap_or_default())],
             components,
             cusum: Cusum::default(),
@@ -164,6 +169,11 @@ impl Detector {
     /// Tells the cause of evidence.
     pub fn with_causes(self, causes: Option<Causes>) -> Self {
         Self { causes, ..self }
+    }
+
+    /// Forecasts lost lanes.
+    pub fn with_lanes(self, lanes: Option<LaneForecast>) -> Self {
+        Self { lanes, ..self }
     }
 
     /// How many numbers are taken from a frame: for each nominal domain, tap after tap.
@@ -212,6 +222,9 @@ impl Detector {
         if self.causes.is_some() && evidence.score() >= 1.0 {
             evidence.cause = self.cause(&evidence);
         }
+        let forecast = self.lanes.as_ref().zip(self.components.first());
+        evidence.lanes =
+            forecast.and_then(|(of, first)| of.share(&first.taps, &self.sums, self.times.len()));
         Ok(evidence)
     }
 
@@ -291,6 +304,7 @@ impl Detector {
                     frames: self.times.len(),
                     fill,
                     cause: None,
+                    lanes: None,
                 });
             }
         }
@@ -383,6 +397,7 @@ impl Evidence {
             frames: 10,
             fill: 1.0,
             cause: None,
+            lanes: None,
         }
     }
 }

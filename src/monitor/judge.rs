@@ -142,6 +142,7 @@ impl Judge {
             Some(evidence) => Verdict {
                 score: Some(evidence.score()),
                 change: evidence.change,
+                lanes: evidence.lanes,
                 window_frames: Some(evidence.frames),
                 nominal_domain: Some(evidence.component),
                 drift: Some(evidence.drift),

@@ -30,7 +30,10 @@ impl Scorer {
             common_size,
         );
         Self {
-            detector: scorer.detector.with_causes(reference.causes.clone()),
+            detector: scorer
+                .detector
+                .with_causes(reference.causes.clone())
+                .with_lanes(reference.lanes.clone()),
             ..scorer
         }
     }

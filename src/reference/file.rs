@@ -16,6 +16,7 @@ use crate::model::encoder::Encoder;
 use crate::model::preprocess::{Preprocessing, RESIZE_KERNEL};
 use crate::reference::causes::Causes;
 use crate::reference::gap::Metric;
+use crate::reference::lanes::LaneForecast;
 use crate::reference::nominal::TapReference;
 use crate::reference::rate::JudgedRate;
 use crate::reference::span::EvidenceKind;
@@ -65,6 +66,9 @@ pub struct Reference {
     /// What changes and gaps look like under known causes; left out if none were learnt.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub causes: Option<Causes>,
+    /// What share of its lanes the model is forecast to lose; left out if no labelled drives were given.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub lanes: Option<LaneForecast>,
 }
 
 /// One nominal domain.
@@ -321,6 +325,7 @@ impl Reference {
             provenance,
             components,
             causes: None,
+            lanes: None,
         }
     }
 
@@ -343,6 +348,12 @@ impl Reference {
     #[must_use]
     pub fn with_causes(self, causes: Option<Causes>) -> Self {
         Self { causes, ..self }
+    }
+
+    /// The same with a forecast of lanes.
+    #[must_use]
+    pub fn with_lanes(self, lanes: Option<LaneForecast>) -> Self {
+        Self { lanes, ..self }
     }
 
     /// Reads a file, or the reference inside the program, and checks that it is whole.
@@ -416,6 +427,10 @@ impl Reference {
         let of_causes = self.causes.as_ref().zip(self.components.first());
         if let Some(fault) = of_causes.and_then(|(of, first)| of.fault(&first.taps)) {
             return Some(format!("causes: {fault}"));
+        }
+        let of_lanes = self.lanes.as_ref().zip(self.components.first());
+        if let Some(fault) = of_lanes.and_then(|(of, first)| of.fault(&first.taps)) {
+            return Some(format!("lanes: {fault}"));
         }
         let spans = self.components.first().map_or(0, Component::spans);
         self.components.iter().find_map(|component| {
