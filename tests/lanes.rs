@@ -60,7 +60,7 @@ fn a_forecast_needs_two_labelled_drives_and_a_metric_of_energies() {
     let two = [
         "scene:sim?seed=9..10&seconds=1&fps=2",
         "--metric",
-        "hellinger",
+        "log-energy-js",
     ];
     let said = gapwatch_in(folder, &[&args[..], &two].concat()).refusal();
     assert!(

@@ -16,7 +16,7 @@ const HZ: u8 = 4;
 /// Time over which the rate is measured.
 const RATE_OVER: Duration = Duration::from_secs(1);
 /// Length of the score's bar in characters; its middle is the alarm threshold.
-const BAR: usize = 21;
+const BAR: usize = 11;
 
 /// The line.
 pub struct Live {
@@ -153,15 +153,15 @@ mod tests {
 
     #[test]
     fn the_bar_passes_its_mark_with_the_threshold() {
-        let bars: Vec<String> = [-3.0, 0.5, 1.0, 1.2, 99.0].map(score_bar).to_vec();
+        let bars: Vec<String> = [-3.0, 0.4, 1.0, 1.3, 99.0].map(score_bar).to_vec();
         assert_eq!(
             bars,
             [
-                "··········|··········",
-                "█████·····|··········",
-                "██████████|··········",
-                "██████████|██········",
-                "██████████|██████████",
+                "·····|·····",
+                "██···|·····",
+                "█████|·····",
+                "█████|█····",
+                "█████|█████",
             ]
         );
     }
