@@ -392,12 +392,13 @@ fn vm_faults_at_random_lose_no_warning_and_no_memory() {
     let log = logged(&share);
     let soak = between(&log, "soak", "soaked");
     let (all, after_a_loss) = statuses_and_losses(soak);
-    let marks: Vec<(f64, &str)> = soak
+    let marks = soak
         .iter()
         .filter(|logged| logged.id == "7F0")
-        .map(|logged| (logged.at, std::str::from_utf8(&logged.data).unwrap()))
-        .collect();
-    // Ends with a nominal road each; the last one may be cut short.
+        .map(|logged| (logged.at, std::str::from_utf8(&logged.data).unwrap()));
+    // Each ends with a nominal road, the last one with the end.
+    let end = soak.last().map(|last| (last.at, "soaked"));
+    let marks: Vec<(f64, &str)> = marks.chain(end).collect();
     let events: Vec<[(f64, &str); 3]> = marks
         .windows(3)
         .filter(|three| three[0].1 != "nominal" && three[1].1 == "nominal")
