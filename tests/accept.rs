@@ -65,6 +65,25 @@ fn a_road_is_accepted_by_the_reference_inside_the_program_without_rendering_it_a
 }
 
 #[test]
+fn a_fast_road_has_the_margins_of_the_simulation_in_windows_of_any_length() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    let road = ["--accept", "scene:game?seed=11&seconds=60&fps=10"];
+    accept(folder, "built-in", &road, "fast.json");
+    let fast = Reference::read(Some(&folder.join("fast.json"))).unwrap();
+    let [simulation, road] = &fast.components[..] else {
+        panic!("{} domains", fast.components.len());
+    };
+    for (own, of) in road.taps.iter().zip(&simulation.taps) {
+        assert!(own.scale.iter().any(|point| point.frames == 10));
+        for point in &own.scale {
+            let (_, threshold) = of.scale_for(point.frames);
+            assert!(point.threshold >= threshold, "{point:?} beside {threshold}");
+        }
+    }
+}
+
+#[test]
 fn several_roads_are_domains_by_name_and_a_name_is_given_once() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();

@@ -116,9 +116,12 @@ impl TapReference {
             let times = of.1 / of.0.max(SPREAD_MIN);
             own.1.max(of.1).max(own.0 * times)
         };
-        for (point, of) in self.scale.iter_mut().zip(&other.scale) {
-            let margins = (of.median, of.threshold);
-            point.threshold = wider((point.median, point.threshold), margins);
+        // A faster road has windows of more frames than those of the other domain.
+        if !other.scale.is_empty() {
+            for point in &mut self.scale {
+                let margins = other.scale_for(point.frames);
+                point.threshold = wider((point.median, point.threshold), margins);
+            }
         }
         for (norm, of) in self.spans.iter_mut().zip(&other.spans) {
             let margins = (of.median, of.threshold);
