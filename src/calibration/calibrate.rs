@@ -26,7 +26,7 @@ const THRESHOLD_QUANTILE: f64 = 0.99;
 
 /// Nominal drives of one domain.
 pub struct Domain<'a, D> {
-    /// `simulation`, or the accepted source as typed.
+    /// `simulation`, or the name of an accepted domain.
     pub name: String,
     /// Its drives.
     pub drives: &'a [D],
@@ -58,14 +58,8 @@ pub fn looks<D: SurveyedDrive, L: LabelledDrive>(
     };
     let (mut fitted, mut scaled) = (0, 0);
     for (index, domain) in domains.iter().enumerate() {
-        let usage = usage(index, domain.drives);
-        let of_folds = usage.folds.iter().filter_map(|fold| fold.fitted.as_ref());
-        fitted += usage.fitted.len() + of_folds.map(Vec::len).sum::<usize>();
-        scaled += usage
-            .folds
-            .iter()
-            .map(|fold| fold.scaled.len())
-            .sum::<usize>();
+        let (fits, scales) = usage(index, domain.drives).stretches();
+        (fitted, scaled) = (fitted + fits, scaled + scales);
     }
     let scored = if held_out.is_empty() {
         scaled
@@ -167,7 +161,7 @@ pub struct Shown {
 }
 
 /// Makes nominal domains beside those of a reference, without the drives of its simulation. They are the same as if
-/// [`calibrate`] had made them with the simulation and without held-out drives of theirs.
+/// [`calibrate`] had made them with the simulation and with held-out drives of the simulation alone.
 ///
 /// # Errors
 /// When a frame cannot be judged, when there are too few frames, or when a drive can no longer be read.

@@ -195,7 +195,7 @@ fn describe_accepted(name: &str, shown: Shown, out: &mut dyn Write) -> anyhow::R
             (0, _) => writeln!(out)?,
             (_, true) => writeln!(
                 out,
-                "; with {minutes:.1} minutes more, changes are judged by this road alone, until then by the simulation too"
+                "; with {minutes:.1} minutes more, the spread of the simulation counts by half or less, until then whole"
             )?,
             (_, false) => writeln!(
                 out,

@@ -75,7 +75,7 @@ pub struct Reference {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Component {
-    /// `simulation`, or the accepted source as typed.
+    /// `simulation`, or the name of an accepted domain.
     pub name: String,
     /// One entry for each tap, in the order of the model's taps.
     pub taps: Vec<TapReference>,
@@ -181,7 +181,7 @@ pub struct SourceUse {
 pub enum Role {
     /// The first nominal domain.
     Simulation,
-    /// One more nominal domain.
+    /// Belongs to an accepted domain.
     Accepted,
     /// Sets and judges the rate of false alarms.
     HeldOut,

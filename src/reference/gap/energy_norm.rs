@@ -245,7 +245,7 @@ fn whitening_of(covariance: &DMatrix<f64>, shrinkage: f64) -> Result<Vec<f32>, U
         .collect())
 }
 
-/// Number of drives of an accepted domain at which its spread is half its own and half that of the simulation.
+/// Number of drives of an accepted domain at which half of the simulation's spread is still added to its own.
 const PRIOR_DRIVES: f64 = 20.0;
 /// Number of independent spans from which on changes of an accepted domain have a spread of their own.
 pub const SPANS_OWN: usize = 20;
