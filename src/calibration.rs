@@ -19,6 +19,9 @@ mod fitting;
 mod spans;
 mod thresholds;
 
+mod component;
+
+mod accept;
 mod calibrate;
 
 mod cause_names;
@@ -28,15 +31,15 @@ mod lanes;
 
 pub mod shard;
 
+pub use accept::{Accepted, Shown, accept, looks_to_accept};
 pub use binning::{
     EPSILON_SHARE, LOG_ENERGY_BINS, PaperBinning, TEMPERATURE_SHARE, TapHistogram, Temperature,
     counts_of,
 };
-pub use calibrate::{
-    Accepted, Calibrated, Domain, Shown, accept, calibrate, looks, looks_to_accept,
-};
+pub use calibrate::{Calibrated, calibrate, looks};
 pub use cause_names::{CauseName, cause_of, with_conditions};
 pub use causes::{LearntCauses, learn_causes};
+pub use component::Domain;
 pub use drive::{LabelledDrive, LabelledMeans, SurveyedDrive};
 pub use error::CalibrationError;
 pub use false_alarms::{DriveScores, is_judging};

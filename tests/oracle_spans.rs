@@ -10,6 +10,8 @@
 
 use std::time::Duration;
 
+use crate::oracle::Dice;
+
 use gapwatch::monitor::span_watch::SpanWatch;
 use gapwatch::reference::Span;
 use gapwatch::reference::gap::energy_norm::EnergyNorm;
@@ -41,15 +43,10 @@ struct Case {
     every: usize,
 }
 
-/// Numbers that look random, the same on every machine (Knuth's linear congruence).
+/// Whole numbers from 0 to any number, the same on every machine.
 fn dice(seed: u64) -> impl FnMut(u64) -> u64 {
-    let mut state = seed;
-    move |sides| {
-        state = state
-            .wrapping_mul(6_364_136_223_846_793_005)
-            .wrapping_add(1_442_695_040_888_963_407);
-        (state >> 33) % sides
-    }
+    let mut dice = Dice(seed);
+    move |sides| (dice.next() * sides as f64) as u64
 }
 
 fn cases() -> Vec<Case> {

@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use super::error::{CalibrationError, wrong};
-use super::stretch::{Stretch, look_at_all};
+use super::stretch::{Stretch, look_at_folds};
 use super::timed::TimedMoments;
 use super::windows::Part;
 use crate::calibration::drive::SurveyedDrive;
@@ -75,11 +75,7 @@ pub fn scale<D: SurveyedDrive>(
     simulation: Option<&Component>,
 ) -> Result<(), CalibrationError> {
     // [drives][taps][spans][distances]
-    let mut distances = Vec::new();
-    for &(own, scaled) in folds {
-        let own = std::slice::from_ref(own);
-        distances.extend(look_at_all(scaled, |part| distances_of(part, own))?);
-    }
+    let mut distances = look_at_folds(folds, distances_of)?;
     let spans = component.spans();
     for (tap, of) in component.taps.iter_mut().enumerate() {
         for (span, norm) in of.spans.iter_mut().enumerate() {

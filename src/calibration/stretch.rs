@@ -7,6 +7,7 @@ use rayon::prelude::*;
 use super::drive::SurveyedDrive;
 use super::error::CalibrationError;
 use super::windows::Part;
+use crate::reference::Component;
 
 /// Of how many parts of an accepted domain each is scaled with what the others have fitted.
 const FOLDS: usize = 3;
@@ -145,6 +146,19 @@ pub fn look_at_all<D: SurveyedDrive, T: Send>(
         .map(|stretch| stretch.look(&at))
         .collect();
     seen.into_iter().collect()
+}
+
+/// Looks at the frames that scale a domain, each with what their fold has fitted.
+pub fn look_at_folds<D: SurveyedDrive, T: Send>(
+    folds: &[(&Component, &[Stretch<'_, D>])],
+    at: impl Fn(&Part<'_>, &[Component]) -> Result<T, CalibrationError> + Sync,
+) -> Result<Vec<T>, CalibrationError> {
+    let mut seen = Vec::new();
+    for &(own, scaled) in folds {
+        let own = std::slice::from_ref(own);
+        seen.extend(look_at_all(scaled, |part| at(part, own))?);
+    }
+    Ok(seen)
 }
 
 /// Sums over many stretches, one at a time on each thread. The result of `merge` must not depend on the order, as with

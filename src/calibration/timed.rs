@@ -107,13 +107,8 @@ impl TimedMoments {
                 }
             }
         }
-        let lasted = part.times().last().zip(part.times().first());
-        let lasted_s = lasted.map_or(0.0, |(last, first)| (*last - *first).as_secs_f64() + 0.5);
         for span in &mut own.spans {
-            #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)]
-            {
-                span.independent = (lasted_s / span.span.length_s()) as usize;
-            }
+            span.independent = independent_spans(part.times(), span.span);
         }
         self.merge(&own);
     }
@@ -131,6 +126,16 @@ impl TimedMoments {
             own.independent += other.independent;
         }
     }
+}
+
+/// Number of spans that do not overlap in a drive with frames at these times.
+pub fn independent_spans(times: &[Duration], span: Span) -> usize {
+    let lasted = times.last().zip(times.first());
+    let lasted_s = lasted.map_or(0.0, |(last, first)| (*last - *first).as_secs_f64() + 0.5);
+    // Drives last for hours at most.
+    #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)]
+    let whole = (lasted_s / span.length_s()) as usize;
+    whole
 }
 
 impl Levels<'_> {

@@ -55,6 +55,15 @@ impl<'a> Part<'a> {
         &self.survey.times[self.first..][..self.frames.len()]
     }
 
+    /// Frames a second, from the median time between frames; `None` without two frames.
+    pub fn frames_hz(&self) -> Option<f64> {
+        let pairs = self.times().windows(2);
+        let mut steps: Vec<Duration> = pairs.map(|pair| pair[1].saturating_sub(pair[0])).collect();
+        steps.sort_unstable();
+        let middle = steps.get(steps.len() / 2).filter(|step| !step.is_zero())?;
+        Some(1.0 / middle.as_secs_f64())
+    }
+
     fn wrong(&self, index: usize, why: Undefined) -> CalibrationError {
         CalibrationError::Frame {
             source_name: self.survey.source.clone(),

@@ -100,9 +100,11 @@ pub fn run(args: &BenchArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
     let (shown, render) = buffers(args)?;
     let began = Instant::now();
     let model = LoadedModel::load_in(&args.model, args.executor.into())?;
-    let shipped = Reference::read(None)
-        .ok()
-        .filter(|reference| reference.check_fits("built-in", &model.fingerprint).is_ok());
+    let shipped = Reference::read(None).ok().filter(|reference| {
+        reference
+            .check_fits(Reference::BUILT_IN, &model.fingerprint)
+            .is_ok()
+    });
     let loaded = began.elapsed();
     let reference = match shipped {
         Some(reference) => reference,

@@ -41,11 +41,7 @@ pub fn read_reference(board: &Board, file: &Path) -> anyhow::Result<Reference> {
             "{}: the reference {} is made of simulation alone, so any real road is a gap to it; wanted reference = \"FILE\" \
              with accepted roads (gapwatch calibrate --base built-in --accept ROAD --out FILE), or strict = true, in [monitor]",
             file.display(),
-            board
-                .monitor
-                .reference
-                .as_ref()
-                .map_or_else(|| "built-in".to_owned(), |path| path.display().to_string()),
+            Reference::name_of(board.monitor.reference.as_deref()),
         );
     }
     Ok(reference)

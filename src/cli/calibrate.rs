@@ -15,12 +15,9 @@ use gapwatch::reference::{
 };
 use gapwatch::statistics::event_rate::{Hours, Loudness, ThreeDigits};
 
-use super::calibration_plan::{CalibrationPlan, PlannedDrive};
+use super::calibration_plan::{CalibrationPlan, Found, PlannedDrive};
 use super::loaded_model::LoadedModel;
 use crate::cli::args::CalibrateArgs;
-
-/// What `--base` calls the reference inside the program.
-const BUILT_IN: &str = "built-in";
 
 pub fn run(args: &CalibrateArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
     if args.metric == Metric::Frechet {
@@ -51,12 +48,7 @@ pub fn run(args: &CalibrateArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
     if !args.shard {
         plan.check_whole()?;
     }
-    let store = match &args.surveys {
-        Some(folder) => SurveyStore::open(folder, &model.fingerprint)?,
-        None => SurveyStore::temporary(&model.fingerprint)?,
-    };
-    let mut found = plan.find(&store, Some(&model.spec))?;
-    plan.look(&mut found, &model, &store)?;
+    let (_store, found) = look(args, &plan, &model)?;
     if args.shard {
         let sources = plan.sources(&found)?;
         let (drives, frames) = (
@@ -107,6 +99,21 @@ fn sources(args: &CalibrateArgs) -> anyhow::Result<Vec<PlannedDrive>> {
     Ok(sources)
 }
 
+/// What the encoder sees of a plan's drives. It is in the store as long as that lives.
+fn look(
+    args: &CalibrateArgs,
+    plan: &CalibrationPlan,
+    model: &LoadedModel,
+) -> anyhow::Result<(SurveyStore, Found)> {
+    let store = match &args.surveys {
+        Some(folder) => SurveyStore::open(folder, &model.fingerprint)?,
+        None => SurveyStore::temporary(&model.fingerprint)?,
+    };
+    let mut found = plan.find(&store, Some(&model.spec))?;
+    plan.look(&mut found, model, &store)?;
+    Ok((store, found))
+}
+
 /// Adds accepted roads to a reference.
 fn accept(
     args: &CalibrateArgs,
@@ -117,7 +124,7 @@ fn accept(
     if sources.is_empty() {
         bail!("no road; wanted --accept or --accept-as with --base");
     }
-    let file = (base != BUILT_IN).then(|| Path::new(base));
+    let file = (base != Reference::BUILT_IN).then(|| Path::new(base));
     let same = |file: &Path| match (file.canonicalize(), args.out.canonicalize()) {
         (Ok(base), Ok(out)) => base == out,
         _ => false,
@@ -146,12 +153,7 @@ fn accept(
         rate: reference.rate,
     };
     let plan = CalibrationPlan::new(model.fingerprint.clone(), wanted, sources)?;
-    let store = match &args.surveys {
-        Some(folder) => SurveyStore::open(folder, &model.fingerprint)?,
-        None => SurveyStore::temporary(&model.fingerprint)?,
-    };
-    let mut found = plan.find(&store, Some(&model.spec))?;
-    plan.look(&mut found, &model, &store)?;
+    let (_store, found) = look(args, &plan, &model)?;
     let (reference, shown) = plan.accepted(found, reference, base)?;
     reference
         .write(&args.out)

@@ -108,7 +108,7 @@ fn reference(
     model: Option<&LoadedModel>,
 ) -> (Option<Reference>, Check) {
     let name = board.monitor.reference.as_deref();
-    let name = name.map_or_else(|| "built-in".to_owned(), |path| path.display().to_string());
+    let name = Reference::name_of(name);
     let reference = match read_reference(board, &args.board) {
         Ok(reference) => reference,
         Err(error) => {

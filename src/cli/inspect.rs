@@ -191,7 +191,7 @@ impl Comparison {
         let model = ModelFingerprint::new(spec, encoder);
         match &args.reference {
             Some(file) => reference.check_fits(&file.display().to_string(), &model)?,
-            None if reference.check_fits("built-in", &model).is_err() => return Ok(None),
+            None if reference.check_fits(Reference::BUILT_IN, &model).is_err() => return Ok(None),
             None => {}
         }
         Ok(Some(Self {

@@ -28,6 +28,7 @@ use gapwatch::model::ModelOptions;
 use gapwatch::monitor::pipeline::Sight;
 use gapwatch::record::events::{EventCounts, EventRecorder, Quota};
 use gapwatch::record::journal::{About, Journal};
+use gapwatch::reference::Reference;
 
 use super::board_settings::{other_rate, periods, read_reference};
 use super::live::Live;
@@ -50,7 +51,7 @@ pub fn run(args: &MonitorArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
     let model = LoadedModel::load_file(board.monitor.model.as_deref(), ModelOptions::default())?;
     let reference = read_reference(&board, &args.board)?;
     let name = board.monitor.reference.as_deref();
-    let name = name.map_or_else(|| "built-in".to_owned(), |path| path.display().to_string());
+    let name = Reference::name_of(name);
     reference.check_fits(&name, &model.fingerprint)?;
     let periods = periods(&board, &reference, &args.board)?;
     if let Some(said) = other_rate(&board, &reference) {

@@ -47,10 +47,7 @@ pub fn run(args: &ReplayArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
     check_outputs(args)?;
     let model = LoadedModel::load(&args.model)?;
     let reference = Reference::read(args.reference.as_deref())?;
-    let reference_name = args
-        .reference
-        .as_ref()
-        .map_or_else(|| "built-in".to_owned(), |path| path.display().to_string());
+    let reference_name = Reference::name_of(args.reference.as_deref());
     reference.check_fits(&reference_name, &model.fingerprint)?;
     let mut monitor = Monitor::new(&model.encoder, &reference)?;
     let source_name = args.source.as_deref().unwrap_or(BUILT_IN_DRIVE);

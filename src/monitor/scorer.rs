@@ -22,20 +22,13 @@ pub struct Scorer {
 impl Scorer {
     /// For frames whose maps are compared at `common_size`.
     pub fn new(reference: &Reference, common_size: (usize, usize)) -> Self {
-        let components = reference.components.clone();
-        let scorer = Self::of(
+        let detector = Detector::new(reference);
+        Self::with(
+            detector,
             reference.metric,
-            components,
-            reference.window_s,
+            reference.components.clone(),
             common_size,
-        );
-        Self {
-            detector: scorer
-                .detector
-                .with_causes(reference.causes.clone())
-                .with_lanes(reference.lanes.clone()),
-            ..scorer
-        }
+        )
     }
 
     /// Like [`new`](Self::new), from the relevant parts of a reference.
@@ -45,8 +38,17 @@ impl Scorer {
         window_s: f64,
         common_size: (usize, usize),
     ) -> Self {
-        let taps = components.first().map_or(0, |of| of.taps.len());
         let detector = Detector::of(metric, components.clone(), window_s);
+        Self::with(detector, metric, components, common_size)
+    }
+
+    fn with(
+        detector: Detector,
+        metric: Metric,
+        components: Vec<Component>,
+        common_size: (usize, usize),
+    ) -> Self {
+        let taps = components.first().map_or(0, |of| of.taps.len());
         Self {
             extraction: Extraction::new(metric, taps, common_size),
             taken: vec![0; detector.taken_len()],

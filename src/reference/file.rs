@@ -302,6 +302,9 @@ impl ModelFingerprint {
 }
 
 impl Reference {
+    /// What the reference inside the program is called.
+    pub const BUILT_IN: &str = "built-in";
+
     /// A reference of this version.
     pub fn new(
         model: ModelFingerprint,
@@ -356,13 +359,21 @@ impl Reference {
         Self { lanes, ..self }
     }
 
+    /// What a reference is called that is read from a file, or is inside the program.
+    pub fn name_of(file: Option<&Path>) -> String {
+        file.map_or_else(
+            || Self::BUILT_IN.to_owned(),
+            |path| path.display().to_string(),
+        )
+    }
+
     /// Reads a file, or the reference inside the program, and checks that it is whole.
     ///
     /// # Errors
     /// When it cannot be read or is malformed.
     pub fn read(file: Option<&Path>) -> Result<Self, ReferenceError> {
         match file {
-            None => Self::parse("built-in", BUILT_IN),
+            None => Self::parse(Self::BUILT_IN, BUILT_IN),
             Some(path) => {
                 let text = read_whole(path, BYTES_MAX).map_err(|error| ReferenceError::File {
                     path: path.to_owned(),

@@ -32,7 +32,7 @@ impl Watched {
 
     fn of(args: &EvaluateArgs, file: Option<&Path>) -> anyhow::Result<Self> {
         let reference = Reference::read(file)?;
-        let name = file.map_or_else(|| "built-in".to_owned(), |path| path.display().to_string());
+        let name = Reference::name_of(file);
         let model = match args.model.as_slice() {
             [] => None,
             [one] => Some(one.as_path()),
