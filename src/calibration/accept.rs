@@ -30,7 +30,7 @@ pub struct Shown {
 }
 
 /// Makes nominal domains beside those of a reference, without the drives of its simulation. They are the same as if
-/// [`calibrate`] had made them with the simulation and with held-out drives of the simulation alone.
+/// [`calibrate`](super::calibrate::calibrate) had made them with the simulation and with held-out drives of the simulation alone.
 ///
 /// # Errors
 /// When a frame cannot be judged, when there are too few frames, or when a drive can no longer be read.
