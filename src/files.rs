@@ -7,4 +7,5 @@ pub mod temporary_folder;
 pub mod whole_file;
 
 pub mod json_fault;
+pub mod shell;
 pub mod toml_keys;

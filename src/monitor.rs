@@ -37,6 +37,8 @@ pub mod span_watch;
 pub mod detector;
 pub mod scorer;
 
+pub mod warn;
+
 pub mod alarm;
 pub mod rate;
 pub mod timing;

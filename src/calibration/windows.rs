@@ -12,6 +12,7 @@ use crate::features::attention::{EnergyMap, Upsampler};
 use crate::monitor::detector::{Evidence, PARTS_MAX};
 use crate::monitor::extraction::Extraction;
 use crate::monitor::rate::Looks;
+use crate::monitor::warn::WarnOn;
 use crate::monitor::scorer::Scorer;
 use crate::reference::gap::Metric;
 use crate::reference::gap::moments::STEPS_PER_NAT;
@@ -153,7 +154,7 @@ impl<'a> Part<'a> {
             let evidence = scorer
                 .observe(at, &frame.maps, &frame.means)
                 .map_err(|why| self.wrong(index, why))?;
-            looks.judged(at, evidence.judgement(), Some(evidence.score()));
+            looks.judged(at, evidence.judgement(WarnOn::default()), Some(evidence.score()));
             each(at, &evidence, &mut scorer);
         }
         Ok(())

@@ -18,7 +18,7 @@ use crate::monitor::alarm::{AlarmState, Reason};
 use crate::reference::cause::Cause;
 
 /// Version of `gapwatch.dbc`: that of the frames that are written and read here.
-pub const DBC_VERSION: u8 = 2;
+pub const DBC_VERSION: u8 = 3;
 
 // The generated accessors of scaled signals round towards zero and give "not available" the physical value 255, so the
 // raw accessors are used and the factors of the DBC are repeated here; a test checks that they agree.
@@ -65,10 +65,10 @@ pub struct GapStatus {
     /// What most likely causes the evidence. `None` is sent as "none" in the state `Ok`, in which there is nothing to
     /// explain, and as not available in every other state.
     pub cause: Option<Cause>,
-    /// Largest of all evidence, 1 = alarm threshold; on the bus 0 to 5.08 in steps of 0.02. Below 0 is sent as 0,
-    /// infinity as 5.08, NaN and `None` as not available.
-    pub score: Option<f64>,
-    /// How far the road differs from its own past, on the scale of `score`.
+    /// How far the road is from the nearest nominal domain, 1 = alarm threshold; on the bus 0 to 5.08 in steps of 0.02.
+    /// Below 0 is sent as 0, infinity as 5.08, NaN and `None` as not available.
+    pub gap: Option<f64>,
+    /// How far the road differs from its own past, on the scale of `gap`.
     pub change: Option<f64>,
     /// Forecast of the share of lanes that the model loses, 0 to 1; on the bus in steps of 0.005.
     pub lanes: Option<f64>,
@@ -94,7 +94,7 @@ impl GapStatus {
         message.set_gap_stored_raw_val(self.gap_stored.into());
         message.set_cause_raw_val(cause_code(self.cause, self.state).into());
         message.set_reason_raw_val(reason_code(self.reason).into());
-        message.set_score_raw_val(steps(self.score, SCORE_STEP, LARGEST));
+        message.set_gap_raw_val(steps(self.gap, SCORE_STEP, LARGEST));
         message.set_change_raw_val(steps(self.change, SCORE_STEP, LARGEST));
         message.set_lanes_raw_val(steps(self.lanes, SHARE_STEP, WHOLE));
         message.set_fault_detection_counter_raw_val(self.fault_detection_counter);
@@ -122,7 +122,7 @@ impl GapStatus {
             gap_stored: message.gap_stored(),
             cause: cause_of(message.cause())
                 .ok_or_else(|| unknown("Cause", message.cause_raw_val()))?,
-            score: number(message.score_raw_val(), SCORE_STEP),
+            gap: number(message.gap_raw_val(), SCORE_STEP),
             change: number(message.change_raw_val(), SCORE_STEP),
             lanes: share(lanes).ok_or_else(|| unknown("Lanes", lanes))?,
             fault_detection_counter: message.fault_detection_counter(),
@@ -329,6 +329,7 @@ fn reason_code(reason: Reason) -> ReasonCode {
         Reason::Abrupt => ReasonCode::Abrupt,
         Reason::Drift => ReasonCode::Drift,
         Reason::Change => ReasonCode::Change,
+        Reason::Lanes => ReasonCode::Lanes,
         Reason::Black => ReasonCode::Black,
         Reason::Uniform => ReasonCode::Uniform,
         Reason::TooSmall => ReasonCode::TooSmall,
@@ -350,6 +351,7 @@ fn reason_of(code: ReasonCode) -> Option<Reason> {
         ReasonCode::Abrupt => Some(Reason::Abrupt),
         ReasonCode::Drift => Some(Reason::Drift),
         ReasonCode::Change => Some(Reason::Change),
+        ReasonCode::Lanes => Some(Reason::Lanes),
         ReasonCode::Black => Some(Reason::Black),
         ReasonCode::Uniform => Some(Reason::Uniform),
         ReasonCode::TooSmall => Some(Reason::TooSmall),

@@ -9,6 +9,7 @@ use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use gapwatch::can::Sink;
+use gapwatch::monitor::warn::Answer;
 use gapwatch::record::events::Quota;
 use gapwatch::reference::EvidenceKind;
 use gapwatch::reference::gap::Metric;
@@ -67,6 +68,10 @@ pub struct ReplayArgs {
     pub reference: Option<PathBuf>,
     #[command(flatten)]
     pub model: ModelArgs,
+    /// Answers that raise the warning: gap, change, lanes [default: gap,change; for pictures and the reference inside the
+    /// program change,lanes]
+    #[arg(long, value_name = "ANSWER,...", value_delimiter = ',')]
+    pub warn: Vec<Answer>,
     /// Where CAN frames go: log:FILE (candump format), log:- (standard output), socketcan:IFACE (needs --speed
     /// realtime) or none
     #[arg(long, value_name = "SINK", default_value = "none")]

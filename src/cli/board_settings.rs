@@ -1,9 +1,13 @@
-//! What `monitor` and `doctor` ask of a board beyond its file: rates and a reference that go together.
+//! What `monitor` and `doctor` ask of a board beyond its file: rates, warnings and a reference that go together.
 
 use std::path::Path;
 
 use anyhow::bail;
+use gapwatch::capture::is_rendered;
+use gapwatch::files::shell::quoted;
 use gapwatch::live::board::Board;
+use gapwatch::monitor::warn::{WarnOn, WarnOnError};
+use gapwatch::reference::gap::Metric;
 use gapwatch::reference::{Periods, Reference};
 
 /// The board's rates. A window must hold more than one frame at the slow rate, so that the time between them is not an
@@ -33,16 +37,37 @@ pub fn other_rate(board: &Board, reference: &Reference) -> Option<String> {
     })
 }
 
-/// With a reference made of simulation alone, every real road is a gap, so a board must ask for it.
-pub fn read_reference(board: &Board, file: &Path) -> anyhow::Result<Reference> {
-    let reference = Reference::read(board.monitor.reference.as_deref())?;
-    if reference.strict && !board.monitor.strict {
-        bail!(
-            "{}: the reference {} is made of simulation alone, so any real road is a gap to it; wanted reference = \"FILE\" \
-             with accepted roads (gapwatch calibrate --base built-in --accept ROAD --out FILE), or strict = true, in [monitor]",
+/// The board's reference.
+pub fn read_reference(board: &Board) -> anyhow::Result<Reference> {
+    Ok(Reference::read(board.monitor.reference.as_deref())?)
+}
+
+/// The answers that raise the warning: those that the board names, or those that suit its reference. A camera sees a
+/// real road, to which a reference made of simulation alone always answers "gap": that raises a warning only if the board
+/// says `strict = true`.
+pub fn warn_on(board: &Board, reference: &Reference, file: &Path) -> anyhow::Result<WarnOn> {
+    let of = &board.monitor;
+    let is_real = !of.strict && !is_rendered(&board.camera.source);
+    let warn = of.warn.unwrap_or(WarnOn::suited_to(reference, is_real));
+    match warn.check(reference, is_real) {
+        Ok(()) => Ok(warn),
+        Err(error @ WarnOnError::Strict) => bail!(
+            "{}: {error}; wanted reference = \"FILE\" with accepted roads ({}), warn = [\"change\", \"lanes\"], or strict = \
+             true, in [monitor]",
             file.display(),
-            Reference::name_of(board.monitor.reference.as_deref()),
-        );
+            accepting(reference, of.reference.as_deref(), None)
+        ),
+        Err(error) => bail!("{}: {error}", file.display()),
     }
-    Ok(reference)
+}
+
+/// The command that makes a reference which accepts a road, from one that is made of simulation alone.
+pub fn accepting(reference: &Reference, file: Option<&Path>, road: Option<&str>) -> String {
+    let road = road.map_or_else(|| "ROAD".to_owned(), quoted);
+    let from = if reference.metric == Metric::Mahalanobis {
+        format!("--base {}", quoted(&Reference::name_of(file)))
+    } else {
+        format!("--metric {} --sim SIMULATION", reference.metric)
+    };
+    format!("gapwatch calibrate {from} --accept {road} --out my-roads.json")
 }

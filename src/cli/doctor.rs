@@ -20,7 +20,7 @@ use gapwatch::statistics::event_rate::Loudness;
 
 use check::{Check, Outcome};
 
-use super::board_settings::{other_rate, periods, read_reference};
+use super::board_settings::{other_rate, periods, read_reference, warn_on};
 use super::loaded_model::LoadedModel;
 use crate::cli::args::{DoctorArgs, TableFormat};
 
@@ -109,10 +109,10 @@ fn reference(
 ) -> (Option<Reference>, Check) {
     let name = board.monitor.reference.as_deref();
     let name = Reference::name_of(name);
-    let reference = match read_reference(board, &args.board) {
+    let reference = match read_reference(board) {
         Ok(reference) => reference,
         Err(error) => {
-            let remedy = "accept your roads (gapwatch calibrate --base built-in --accept ROAD --out my-roads.json) and name the file in [monitor], with strict = true if it is strict";
+            let remedy = "name a reference of this version as reference in [monitor], or none for the built-in one";
             return (None, Check::fail("reference", format!("{error:#}"), remedy));
         }
     };
@@ -121,6 +121,13 @@ fn reference(
             "set a higher idle_rate_hz in [monitor], or name a reference with longer windows";
         return (None, Check::fail("reference", format!("{error:#}"), remedy));
     }
+    let warn = match warn_on(board, &reference, &args.board) {
+        Ok(warn) => warn,
+        Err(error) => {
+            let remedy = "accept your roads (gapwatch calibrate --base built-in --accept ROAD --out my-roads.json) and name the file in [monitor], or choose other answers with warn";
+            return (None, Check::fail("reference", format!("{error:#}"), remedy));
+        }
+    };
     let Some(model) = model else {
         let why = format!("{name} is complete; there is no model to compare it with");
         return (None, Check::left_out("reference", why));
@@ -136,7 +143,7 @@ fn reference(
     };
     let alarms = &reference.false_alarms;
     let found = format!(
-        "{name}, {}, {strict}, made for {} false alarms an hour, {}",
+        "{name}, {}, {strict}, {warn} raise the warning, made for {} false alarms an hour, {}",
         reference.metric,
         alarms.wanted_per_hour,
         alarms.said()

@@ -30,7 +30,7 @@ use gapwatch::record::events::{EventCounts, EventRecorder, Quota};
 use gapwatch::record::journal::{About, Journal};
 use gapwatch::reference::Reference;
 
-use super::board_settings::{other_rate, periods, read_reference};
+use super::board_settings::{other_rate, periods, read_reference, warn_on};
 use super::live::Live;
 use super::loaded_model::LoadedModel;
 use super::state_lines::{evidence_line, state_line};
@@ -49,10 +49,11 @@ pub fn run(args: &MonitorArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
     let out: &mut dyn Write = if args.quiet { &mut nowhere } else { out };
     let board = Board::read(&args.board)?;
     let model = LoadedModel::load_file(board.monitor.model.as_deref(), ModelOptions::default())?;
-    let reference = read_reference(&board, &args.board)?;
+    let reference = read_reference(&board)?;
     let name = board.monitor.reference.as_deref();
     let name = Reference::name_of(name);
     reference.check_fits(&name, &model.fingerprint)?;
+    let warn = warn_on(&board, &reference, &args.board)?;
     let periods = periods(&board, &reference, &args.board)?;
     if let Some(said) = other_rate(&board, &reference) {
         log::warn!("{}: {said}", args.board.display());
@@ -71,7 +72,10 @@ pub fn run(args: &MonitorArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
     if !matches!(board.can.sink, Sink::None) {
         listen(&mut bus, &board, &stop)?;
     }
-    let about = About::new(&board.camera.source, &name, &reference);
+    let about = About {
+        live: source.is_live(),
+        ..About::new(&board.camera.source, &name, &reference, warn)
+    };
     let taps = &model.spec.taps;
     let journal = args.journal.as_deref();
     let journal = journal.map(|path| Journal::live(path, taps, &ClockTime::now(), &about));
@@ -102,7 +106,7 @@ pub fn run(args: &MonitorArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
     let (words, told) = channel();
     let judge = Judge {
         sight: Sight::new(&model.encoder, &reference)?.with_frames_every(periods.idle),
-        judging: Judging::new(periods),
+        judging: Judging::new(periods, warn),
         words,
         recorder,
         live,

@@ -14,10 +14,12 @@ use gapwatch::live::outputs::{OutputError, Outputs};
 use gapwatch::monitor::alarm::AlarmState;
 use gapwatch::monitor::judge::Verdict;
 use gapwatch::monitor::pipeline::Monitor;
+use gapwatch::monitor::warn::WarnOn;
 use gapwatch::record::events::EventRecorder;
 use gapwatch::record::journal::{About, Journal, RecordingJournal};
 use gapwatch::reference::Reference;
 
+use super::board_settings::accepting;
 use super::live::Live;
 use super::loaded_model::LoadedModel;
 use super::signals;
@@ -49,14 +51,16 @@ pub fn run(args: &ReplayArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
     let reference = Reference::read(args.reference.as_deref())?;
     let reference_name = Reference::name_of(args.reference.as_deref());
     reference.check_fits(&reference_name, &model.fingerprint)?;
-    let mut monitor = Monitor::new(&model.encoder, &reference)?;
     let source_name = args.source.as_deref().unwrap_or(BUILT_IN_DRIVE);
+    let warn = warn_on(args, &reference, source_name)?;
+    let mut monitor = Monitor::new(&model.encoder, &reference)?.warning_on(warn);
     let mut source = open(source_name)?;
-    let about = About::new(source_name, &reference_name, &reference);
+    let about = About::new(source_name, &reference_name, &reference, warn);
     if reference.strict && !is_rendered(source_name) {
         log::warn!(
-            "the reference {reference_name} knows simulation alone, so any real road is a gap to it; \
-             gapwatch calibrate --base {reference_name} --accept ROAD --out my-roads.json accepts roads"
+            "the reference {reference_name} knows simulation alone, so any real road is a gap to it; {warn} raise the \
+             warning; this command makes a reference that accepts this road: {}",
+            accepting(&reference, args.reference.as_deref(), Some(source_name))
         );
     }
     let (taps, began) = (&model.spec.taps, ClockTime::now());
@@ -126,6 +130,18 @@ pub fn run(args: &ReplayArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
         );
     }
     Ok(if args.check { summary.found() } else { 0 })
+}
+
+/// The answers that raise the warning: those that are typed, or those that suit the reference. No road of pictures is
+/// the simulation inside the program; what a reference of the user's own is made of is not known.
+fn warn_on(args: &ReplayArgs, reference: &Reference, source: &str) -> anyhow::Result<WarnOn> {
+    let is_real = args.reference.is_none() && !is_rendered(source);
+    let warn = match args.warn.as_slice() {
+        [] => WarnOn::suited_to(reference, is_real),
+        answers => WarnOn::these(answers),
+    };
+    warn.check(reference, false).context("--warn")?;
+    Ok(warn)
 }
 
 /// In a replay, an error of any output ends the run.
@@ -236,7 +252,7 @@ impl Summary {
     /// Counts a verdict; returns the state before it.
     fn add(&mut self, verdict: &Verdict) -> Option<AlarmState> {
         self.frames += u64::from(verdict.sequence.is_some());
-        self.not_judged += u64::from(verdict.sequence.is_some() && verdict.score.is_none());
+        self.not_judged += u64::from(verdict.sequence.is_some() && verdict.gap.is_none());
         self.gap |= verdict.state == AlarmState::Gap;
         let (since, state) = self.last.replace((verdict.at, verdict.state))?;
         *self.time_in.entry(state.name()).or_default() += verdict.at - since;

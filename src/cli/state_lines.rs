@@ -14,20 +14,31 @@ pub fn state_line(verdict: &Verdict) -> String {
         verdict.at.as_secs_f64(),
         verdict.state.name()
     );
-    match (verdict.state, &verdict.undefined, verdict.score) {
+    match (verdict.state, &verdict.undefined, verdict.gap) {
         (_, Some(why), _) => line += &format!("  {}: {why}", verdict.reason.name()),
         (AlarmState::Init, _, _) => line += "  starting",
-        (_, None, Some(score)) => {
-            // No minus sign before a score that rounds to zero.
-            let hundredths = (100.0 * score).round() + 0.0;
-            line += &format!("  score {:.2}{}", hundredths / 100.0, lanes_lost(verdict));
+        (state, None, Some(_)) => {
+            line += &answers(verdict);
+            if has_evidence(state) {
+                line += &format!("  {}", verdict.reason.name());
+            }
             if let Some(cause) = cause_of_evidence(verdict) {
-                line += &format!("  {}, likely cause: {cause}", verdict.reason.name());
+                line += &format!(", likely cause: {cause}");
             }
         }
         (_, None, None) => line += &format!("  {}", verdict.reason.name()),
     }
     line
+}
+
+/// The answers that are known.
+fn answers(verdict: &Verdict) -> String {
+    let score = |name, score: Option<f64>| {
+        // No minus sign before a score that rounds to zero.
+        let rounded = score.map(|score| (100.0 * score).round() / 100.0 + 0.0);
+        rounded.map_or_else(String::new, |score| format!("  {name} {score:.2}"))
+    };
+    score("gap", verdict.gap) + &score("change", verdict.change) + &lanes_lost(verdict)
 }
 
 /// The forecast of lost lanes, if there is one.
@@ -38,8 +49,11 @@ pub fn lanes_lost(verdict: &Verdict) -> String {
 
 /// The likely cause where there is evidence that needs one.
 pub fn cause_of_evidence(verdict: &Verdict) -> Option<LikelyCause> {
-    let has_evidence = matches!(verdict.state, AlarmState::Suspect | AlarmState::Gap);
-    verdict.cause.filter(|_| has_evidence)
+    verdict.cause.filter(|_| has_evidence(verdict.state))
+}
+
+fn has_evidence(state: AlarmState) -> bool {
+    matches!(state, AlarmState::Suspect | AlarmState::Gap)
 }
 
 /// One readable line about the evidence of a run.
@@ -75,6 +89,8 @@ mod tests {
             state: AlarmState::Gap,
             reason: Reason::Change,
             score: Some(3.214),
+            gap: Some(0.514),
+            change: Some(3.214),
             cause: Some(LikelyCause {
                 cause: Cause::Dirt,
                 probability: 0.84,
@@ -83,7 +99,7 @@ mod tests {
         };
         assert_eq!(
             state_line(&gap),
-            "    20.3 s  Gap          score 3.21  change, likely cause: dirt (84 %)"
+            "    20.3 s  Gap          gap 0.51  change 3.21  change, likely cause: dirt (84 %)"
         );
         let suspect = Verdict {
             state: AlarmState::Suspect,
@@ -99,21 +115,25 @@ mod tests {
             cause: None,
             ..gap.clone()
         };
-        assert_eq!(state_line(&unknown), "    20.3 s  Gap          score 3.21");
+        assert_eq!(
+            state_line(&unknown),
+            "    20.3 s  Gap          gap 0.51  change 3.21  change"
+        );
         let ok = Verdict {
             state: AlarmState::Ok,
             reason: Reason::None,
-            score: Some(-0.001),
+            gap: Some(-0.001),
+            change: None,
             ..gap.clone()
         };
-        assert_eq!(state_line(&ok), "    20.3 s  Ok           score 0.00");
+        assert_eq!(state_line(&ok), "    20.3 s  Ok           gap 0.00");
         let costs_little = Verdict {
             lanes: Some(0.146),
             ..gap.clone()
         };
         assert_eq!(
             state_line(&costs_little),
-            "    20.3 s  Gap          score 3.21  lanes lost 15 %  change, likely cause: dirt (84 %)"
+            "    20.3 s  Gap          gap 0.51  change 3.21  lanes lost 15 %  change, likely cause: dirt (84 %)"
         );
         let dark = Verdict {
             state: AlarmState::SensorFault,

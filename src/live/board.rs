@@ -13,6 +13,7 @@ use crate::can::{CanSettings, CanSettingsError, LARGEST_ID, MessageIds, Sink};
 use crate::capture::{CAMERA_FORMATS, CameraWish, camera_of};
 use crate::files::toml_keys::{self, Document, Keys, Kind, Wrong};
 use crate::files::whole_file::read_text;
+use crate::monitor::warn::{Answer, WarnOn};
 use crate::reference::JudgedRate;
 
 pub use evidence::{EvidenceBoard, KEEP};
@@ -109,6 +110,8 @@ pub struct MonitorBoard {
     pub model: Option<PathBuf>,
     /// A reference made of simulation alone is accepted, although any real road is a gap to it.
     pub strict: bool,
+    /// The answers that raise the warning; `None` = those that suit the reference.
+    pub warn: Option<WarnOn>,
     /// Highest number of frames that are judged in a second.
     pub rate_hz: f64,
     /// Frames a second while the road is clearly nominal or the car is parked; the same as `rate_hz` unless the board
@@ -159,6 +162,17 @@ fn size() -> Kind<(u32, u32)> {
 
 fn file_name() -> Kind<PathBuf> {
     toml_keys::text("the name of a file").of(|name| Some(PathBuf::from(name)))
+}
+
+/// Answers that raise the warning.
+fn warn_on() -> Kind<WarnOn> {
+    toml_keys::texts("a list of \"gap\", \"change\" and \"lanes\"").of(|names| {
+        let answers: Result<Vec<Answer>, _> = names.iter().map(|name| name.parse()).collect();
+        answers
+            .ok()
+            .filter(|answers| !answers.is_empty())
+            .map(|answers| WarnOn::these(&answers))
+    })
 }
 
 /// Frames a second.
@@ -247,12 +261,13 @@ impl Board {
 impl MonitorBoard {
     /// `[monitor]`; defaults if it is missing.
     fn of(file: &Keys<'_>, beside: impl Fn(PathBuf) -> PathBuf) -> Result<Self, Wrong> {
-        let known = ["reference", "model", "strict", "rate_hz", "idle_rate_hz"];
+        let known = ["reference", "model", "strict", "warn", "rate_hz", "idle_rate_hz"];
         let Some(table) = file.table("monitor", &known)? else {
             return Ok(Self {
                 reference: None,
                 model: None,
                 strict: false,
+                warn: None,
                 rate_hz: RATE_HZ,
                 idle_rate_hz: RATE_HZ,
             });
@@ -269,6 +284,7 @@ impl MonitorBoard {
             reference: table.get("reference", file_name())?.map(&beside),
             model: table.get("model", file_name())?.map(&beside),
             strict: table.get("strict", toml_keys::truth())?.unwrap_or(false),
+            warn: table.get("warn", warn_on())?,
             rate_hz,
             idle_rate_hz,
         })

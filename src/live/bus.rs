@@ -82,9 +82,9 @@ impl Bus {
     ) -> Result<(), SinkError> {
         if verdict.sequence.is_some() {
             self.health
-                .note(verdict.at, latency, verdict.score.is_some());
+                .note(verdict.at, latency, verdict.gap.is_some());
         }
-        if verdict.score.is_some() {
+        if verdict.gap.is_some() {
             self.judged_at = Some(verdict.at);
         }
         let mut block_scores = [None; 3];
@@ -98,7 +98,7 @@ impl Bus {
             reason: verdict.reason,
             gap_stored: verdict.gap_stored,
             cause: verdict.cause.map(|likely| likely.cause),
-            score: verdict.score,
+            gap: verdict.gap,
             change: verdict.change,
             lanes: verdict.lanes,
             fault_detection_counter: verdict.fault_detection_counter,

@@ -5,6 +5,7 @@ use std::time::Duration;
 use super::{Orders, Word};
 use crate::monitor::judge::{Judge, Sighting, Verdict};
 use crate::monitor::rate::RatePolicy;
+use crate::monitor::warn::WarnOn;
 use crate::reference::Periods;
 
 /// What the judge knows between frames.
@@ -18,10 +19,10 @@ pub struct Judging {
 }
 
 impl Judging {
-    /// A judge that has seen nothing.
-    pub fn new(periods: Periods) -> Self {
+    /// A judge that has seen nothing, for which some answers raise the warning.
+    pub fn new(periods: Periods, warn: WarnOn) -> Self {
         Self {
-            judge: Judge::with_frames_every(periods.idle),
+            judge: Judge::with_frames_every(periods.idle).warning_on(warn),
             policy: RatePolicy::new(periods),
             periods,
             period: periods.full,

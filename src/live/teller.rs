@@ -126,7 +126,7 @@ impl Teller {
 
     /// What is to be sent to the service manager at `now`, when the judge has completed `rounds` rounds.
     pub fn service(&mut self, now: Duration, rounds: u64) -> ServiceWords {
-        let judged_or_fault = self.last.score.is_some() || self.last.is_unjudged();
+        let judged_or_fault = self.last.gap.is_some() || self.last.is_unjudged();
         self.service.due(now, judged_or_fault, rounds)
     }
 

@@ -77,6 +77,8 @@ pub enum Reason {
     Drift,
     /// The road differs from its own past.
     Change,
+    /// The lane model is forecast to lose its lanes.
+    Lanes,
     /// The picture is black.
     Black,
     /// The picture has one colour.
@@ -110,6 +112,7 @@ impl Reason {
             Self::Abrupt => "abrupt",
             Self::Drift => "drift",
             Self::Change => "change",
+            Self::Lanes => "lanes",
             Self::Black => "black",
             Self::Uniform => "uniform",
             Self::TooSmall => "too-small",
@@ -165,6 +168,11 @@ pub enum Judgement {
     },
     /// The road is within a nominal domain, but differs from its own past: evidence of a gap.
     Change {
+        /// As in `Score`.
+        settled: bool,
+    },
+    /// The lane model is forecast to lose its lanes: evidence of a gap.
+    Lanes {
         /// As in `Score`.
         settled: bool,
     },
@@ -263,6 +271,7 @@ impl Alarm {
             }
             Judgement::Drift { settled } => self.judged(now, Some(Reason::Drift), settled),
             Judgement::Change { settled } => self.judged(now, Some(Reason::Change), settled),
+            Judgement::Lanes { settled } => self.judged(now, Some(Reason::Lanes), settled),
             Judgement::Cannot(reason) => self.not_judged(now, reason),
         }
     }

@@ -11,6 +11,7 @@ use crate::monitor::alarm::Judgement;
 use crate::monitor::cusum::Cusum;
 use crate::monitor::profile::{TapProfile, spreads_of};
 use crate::monitor::span_watch::{SpanScore, SpanWatch};
+use crate::monitor::warn::{LANES_LOST, WarnOn};
 use crate::reference::cause::LikelyCause;
 use crate::reference::gap::Metric;
 use crate::reference::gap::moments::STEPS_PER_NAT;
@@ -67,9 +68,29 @@ impl Evidence {
         self.change.map_or(self.gap, |change| change.max(self.gap))
     }
 
-    /// What the evidence contributes to the alarm.
-    pub fn judgement(&self) -> Judgement {
-        judgement(self.gap, self.change, self.drift, self.fill >= 1.0)
+    /// The largest score of the answers that raise the warning, of those that are known. For lanes, 1 is
+    /// [`LANES_LOST`].
+    pub fn score_of(&self, warn: WarnOn) -> Option<f64> {
+        let gap = warn.gap.then_some(self.gap);
+        let change = self.change.filter(|_| warn.change);
+        let lanes = self.lanes.filter(|_| warn.lanes);
+        let lanes = lanes.map(|share| share / LANES_LOST);
+        [gap, change, lanes].into_iter().flatten().reduce(f64::max)
+    }
+
+    /// What the evidence contributes to the alarm, if some answers raise it. A gap speaks before lost lanes, these before
+    /// a change, and a drift speaks last.
+    pub fn judgement(&self, warn: WarnOn) -> Judgement {
+        let settled = self.fill >= 1.0;
+        let (gap, drift) = match warn.gap {
+            true => (self.gap, self.drift),
+            false => (0.0, 0.0),
+        };
+        let lost = warn.lanes && self.lanes.is_some_and(|share| share >= LANES_LOST);
+        if gap < 1.0 && lost {
+            return Judgement::Lanes { settled };
+        }
+        judgement(gap, self.change.filter(|_| warn.change), drift, settled)
     }
 }
 
@@ -434,7 +455,7 @@ mod tests {
             (evidence(1.0, 1.0, 1.0), score(1.0, true)),
             (evidence(2.0, 0.0, 1.0), score(2.0, true)),
         ] {
-            assert_eq!(found.judgement(), wanted);
+            assert_eq!(found.judgement(WarnOn::default()), wanted);
         }
     }
 

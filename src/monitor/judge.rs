@@ -8,6 +8,7 @@ use crate::features::image_quality::ImageQuality;
 use crate::model::TAPS_MAX;
 use crate::monitor::alarm::{Alarm, AlarmState, Judgement, Reason};
 use crate::monitor::detector::{BlockScore, Evidence};
+use crate::monitor::warn::WarnOn;
 use crate::reference::cause::LikelyCause;
 
 /// What a frame adds to what was seen before.
@@ -24,10 +25,10 @@ pub struct Sighting {
 }
 
 impl Sighting {
-    /// What the frame contributes to the alarm.
-    pub fn judgement(&self) -> Judgement {
+    /// What the frame contributes to the alarm, if some answers raise it.
+    pub fn judgement(&self, warn: WarnOn) -> Judgement {
         match &self.evidence {
-            Ok(evidence) => evidence.judgement(),
+            Ok(evidence) => evidence.judgement(warn),
             Err(why) => Judgement::Cannot(Reason::from(why)),
         }
     }
@@ -46,8 +47,12 @@ pub struct Verdict {
     pub reason: Reason,
     /// Why this frame has no score.
     pub undefined: Option<Undefined>,
-    /// The largest of all evidence: 0 nominal, 1 alarm threshold; `None` when the frame cannot be judged.
+    /// The largest score of the answers that raise the warning: 0 nominal, 1 alarm threshold; `None` when none of them
+    /// is known.
     pub score: Option<f64>,
+    /// How far the road is from the nearest nominal domain: 0 nominal median, 1 alarm threshold; `None` when the frame
+    /// cannot be judged.
+    pub gap: Option<f64>,
     /// How far the road differs from its own past: 0 nominal median, 1 alarm threshold; `None` when this is not known.
     pub change: Option<f64>,
     /// Forecast of the share of lanes that the model loses, 0..1; `None` when there is no forecast.
@@ -82,6 +87,7 @@ impl Verdict {
             reason: Reason::Starting,
             undefined: None,
             score: None,
+            gap: None,
             change: None,
             lanes: None,
             cause: None,
@@ -109,6 +115,8 @@ impl Verdict {
 #[derive(Clone, Debug, Default)]
 pub struct Judge {
     alarm: Alarm,
+    /// The answers that raise the warning.
+    warn: WarnOn,
     /// What was told last in `Suspect` or `Gap`.
     cause: Option<LikelyCause>,
 }
@@ -118,13 +126,19 @@ impl Judge {
     pub fn with_frames_every(period: Duration) -> Self {
         Self {
             alarm: Alarm::with_frames_every(period),
-            cause: None,
+            ..Self::default()
         }
+    }
+
+    /// These answers raise the warning.
+    #[must_use]
+    pub fn warning_on(self, warn: WarnOn) -> Self {
+        Self { warn, ..self }
     }
 
     /// What is known after a frame.
     pub fn judge(&mut self, seen: Sighting) -> Verdict {
-        self.alarm.step(seen.at, seen.judgement());
+        self.alarm.step(seen.at, seen.judgement(self.warn));
         let told = seen.evidence.as_ref().ok().and_then(|of| of.cause);
         self.keep_cause(told);
         let (evidence, undefined) = match seen.evidence {
@@ -140,7 +154,8 @@ impl Judge {
         match evidence {
             None => known,
             Some(evidence) => Verdict {
-                score: Some(evidence.score()),
+                score: evidence.score_of(self.warn),
+                gap: Some(evidence.gap),
                 change: evidence.change,
                 lanes: evidence.lanes,
                 window_frames: Some(evidence.frames),

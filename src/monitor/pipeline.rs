@@ -12,6 +12,7 @@ use crate::monitor::detector::Evidence;
 use crate::monitor::judge::{Judge, Sighting, Verdict};
 use crate::monitor::profile::TapProfile;
 use crate::monitor::scorer::Scorer;
+use crate::monitor::warn::WarnOn;
 use crate::reference::Reference;
 
 /// Compares one camera with one reference.
@@ -48,6 +49,15 @@ impl Monitor {
             sight: Sight::new(encoder, reference)?,
             judge: Judge::default(),
         })
+    }
+
+    /// These answers raise the warning; gap and change, if nothing is said.
+    #[must_use]
+    pub fn warning_on(self, warn: WarnOn) -> Self {
+        Self {
+            judge: self.judge.warning_on(warn),
+            ..self
+        }
     }
 
     /// Judges a frame. The time is that of the frame.

@@ -347,6 +347,11 @@ impl Reference {
         self
     }
 
+    /// Whether it knows how far a road may differ from its own past.
+    pub fn knows_changes(&self) -> bool {
+        self.components.iter().all(|of| of.spans() > 0)
+    }
+
     /// The same with what is known of causes.
     #[must_use]
     pub fn with_causes(self, causes: Option<Causes>) -> Self {

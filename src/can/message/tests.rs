@@ -10,7 +10,7 @@ const STATES: [(AlarmState, u8); 6] = [
     (AlarmState::SensorFault, 4),
     (AlarmState::Unavailable, 5),
 ];
-const REASONS: [(Reason, u8); 16] = [
+const REASONS: [(Reason, u8); 17] = [
     (Reason::None, 0),
     (Reason::Starting, 1),
     (Reason::Abrupt, 2),
@@ -27,6 +27,7 @@ const REASONS: [(Reason, u8); 16] = [
     (Reason::Undefined, 13),
     (Reason::TooSmall, 14),
     (Reason::Change, 15),
+    (Reason::Lanes, 16),
 ];
 const CAUSES: [(Cause, u8); 12] = [
     (Cause::Fog, 1),
@@ -49,7 +50,7 @@ fn status() -> GapStatus {
         reason: Reason::Abrupt,
         gap_stored: true,
         cause: Some(Cause::Dirt),
-        score: Some(1.0),
+        gap: Some(1.0),
         change: Some(5.08),
         lanes: Some(0.25),
         fault_detection_counter: 127,
@@ -129,7 +130,7 @@ fn of_this_program_is_its_own_version() {
 const VERSION_1: [u8; 8] = [0, 0x30, 0x2B, 50, 50, 40, 30, 127];
 
 #[test]
-fn a_frame_of_version_1_is_not_taken_for_one_of_version_2_when_its_score_is_no_reason() {
+fn a_frame_of_version_1_is_not_taken_for_this_one_when_its_score_is_no_reason() {
     let refused = GapStatus::from_bytes(&VERSION_1).unwrap_err();
     assert_eq!((refused.signal, refused.code), ("Reason", 50));
     // A low score looks like a reason: only the missing GapVersion tells that the frame is of version 1.
@@ -150,11 +151,11 @@ fn what_a_receiver_of_version_1_reads_of_state_stored_bit_age_and_debounce_is_ri
         assert_eq!(bytes[1] >> 4, 3, "age");
         assert_eq!((bytes[2] & 7, bytes[2] >> 3 & 1), (code, 1));
         assert_eq!(bytes[7], 127);
-        // Its score is at most that of the largest reason, 0.3, and therefore never an alarm.
+        // Its score is at most that of the largest reason, 0.32, and therefore never an alarm.
         assert!(
             REASONS
                 .iter()
-                .all(|&(_, reason)| f64::from(reason) * SCORE_STEP < 0.31)
+                .all(|&(_, reason)| f64::from(reason) * SCORE_STEP < 0.33)
         );
     }
 }
@@ -318,7 +319,7 @@ fn steps_and_codes_are_those_of_the_dbc() {
         status.frame_age(),
         generated::GapStatusFrameAge::NotAvailable
     );
-    assert_eq!(status.score(), generated::GapStatusScore::NotAvailable);
+    assert_eq!(status.gap(), generated::GapStatusGap::NotAvailable);
     assert_eq!(status.cause(), generated::GapStatusCause::NotAvailable);
     assert_eq!(status.reason(), generated::GapStatusReason::NotAvailable);
     assert_eq!(status.change(), generated::GapStatusChange::NotAvailable);
@@ -354,8 +355,8 @@ fn steps_and_codes_are_those_of_the_dbc() {
         generated::GapStatusFrameAge::_Other(ms) => assert_eq!(ms, 1400),
         other => panic!("{other:?}"),
     }
-    match status.score() {
-        generated::GapStatusScore::_Other(score) => close(score, 200.0 * SCORE_STEP),
+    match status.gap() {
+        generated::GapStatusGap::_Other(gap) => close(gap, 200.0 * SCORE_STEP),
         other => panic!("{other:?}"),
     }
     match health.frame_rate() {
@@ -395,7 +396,7 @@ proptest! {
         (state, _) in proptest::sample::select(&STATES),
         (reason, _) in proptest::sample::select(&REASONS),
         gap_stored: bool,
-        score in proptest::option::of(proptest::num::f64::ANY),
+        gap in proptest::option::of(proptest::num::f64::ANY),
         cause in proptest::option::of(proptest::sample::select(&Cause::ALL)),
         change in proptest::option::of(0.0..5.08),
         lanes in proptest::option::of(0.0..=1.0),
@@ -407,7 +408,7 @@ proptest! {
             reason,
             gap_stored,
             cause,
-            score,
+            gap,
             change,
             lanes,
             fault_detection_counter,
@@ -422,7 +423,7 @@ proptest! {
         prop_assert_eq!(read.gap_stored, gap_stored);
         prop_assert_eq!(read.fault_detection_counter, fault_detection_counter);
         prop_assert_eq!(read.frame_age.is_some(), sent.frame_age.is_some());
-        prop_assert_eq!(read.score.is_some(), score.is_some_and(|s| !s.is_nan()));
+        prop_assert_eq!(read.gap.is_some(), gap.is_some_and(|s| !s.is_nan()));
         prop_assert_eq!(read.cause, cause);
         for (read, sent, step) in [(read.change, change, SCORE_STEP), (read.lanes, lanes, SHARE_STEP)] {
             prop_assert_eq!(read.is_some(), sent.is_some());

@@ -14,7 +14,7 @@ fn status(state: AlarmState) -> GapStatus {
         state,
         reason: Reason::None,
         gap_stored: false,
-        score: Some(0.5),
+        gap: Some(0.5),
         cause: None,
         change: None,
         lanes: None,
@@ -264,7 +264,7 @@ fn reason_and_stored_bit_are_changes_and_the_score_is_not() {
     let mut latest = status(Gap);
     sender.update(ms(0), &latest);
     sender.poll(ms(0), &mut bus).unwrap();
-    latest.score = Some(3.0);
+    latest.gap = Some(3.0);
     sender.update(ms(30), &latest);
     sender.poll(ms(30), &mut bus).unwrap();
     latest.reason = Reason::Abrupt;

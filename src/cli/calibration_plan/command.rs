@@ -2,6 +2,7 @@
 
 use gapwatch::calibration::Target;
 use gapwatch::capture::ranges;
+use gapwatch::files::shell::quoted;
 use gapwatch::model::preprocess::CROP_NOTHING;
 use gapwatch::model::{ModelOptions, ModelSpec};
 use gapwatch::reference::JudgedRate;
@@ -96,15 +97,5 @@ fn add_to(words: &mut Vec<String>, flag: &str, values: &[String]) {
     if !values.is_empty() {
         words.push(flag.to_owned());
         words.extend(values.iter().map(|value| quoted(value)));
-    }
-}
-
-/// A word as it can be typed in a shell.
-fn quoted(word: &str) -> String {
-    let plain = |c: char| c.is_ascii_alphanumeric() || "-_./,:=+@%".contains(c);
-    if !word.is_empty() && word.chars().all(plain) {
-        word.to_owned()
-    } else {
-        format!("'{}'", word.replace('\'', "'\\''"))
     }
 }

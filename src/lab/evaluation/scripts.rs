@@ -14,6 +14,7 @@ use crate::monitor::detector::Evidence;
 use crate::monitor::judge::{Judge, Sighting, Verdict};
 use crate::monitor::pipeline::Sight;
 use crate::monitor::rate::Looks;
+use crate::monitor::warn::WarnOn;
 use crate::reference::Reference;
 
 /// What a drive shows in one of its parts.
@@ -162,7 +163,7 @@ impl Script {
                 })),
             });
             let score = seen.evidence.as_ref().ok().map(Evidence::score);
-            looks.judged(seen.at, seen.judgement(), score);
+            looks.judged(seen.at, seen.judgement(WarnOn::default()), score);
             each(seen);
         }
         Ok(())

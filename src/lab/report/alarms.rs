@@ -36,7 +36,7 @@ fn table(report: &Report) -> Markup {
     html! {
         table #alarms {
             (head(&[
-                Words("State"), Numbers("From"), Numbers("To"), Numbers("Lasted"), Numbers("Largest score"),
+                Words("State"), Numbers("From"), Numbers("To"), Numbers("Lasted"), Numbers("Largest gap"),
                 Numbers("Largest change"), Numbers("Lanes lost"), Words("Likely cause"), Words("Tap that led"),
                 Words("Reason"),
             ]))
@@ -67,7 +67,7 @@ fn cells(alarm: &Alarm) -> Markup {
         td.n { (format_args!("{from_s:.1} s")) }
         td.n { (format_args!("{to_s:.1} s")) @if alarm.open { " (end)" } }
         td.n { (format_args!("{:.1} s", to_s - from_s)) }
-        td.n { (Number(alarm.score_max, 2)) }
+        td.n { (Number(alarm.gap_max, 2)) }
         td.n { (Number(alarm.change_max, 2)) }
         td.n { (Percent(alarm.lanes_max)) }
         td.likely { @if let Some(cause) = alarm.cause { (cause.to_string()) } @else { "–" } }

@@ -89,7 +89,7 @@ fn taps(report: &Report, alarm: &Alarm) -> Markup {
         ..
     } = alarm.lines;
     let gap = |line: Option<&Entry>, tap: &str| {
-        let gap = line.and_then(|line| line.gap.get(tap).copied().flatten());
+        let gap = line.and_then(|line| line.tap_gap.get(tap).copied().flatten());
         Number(gap, 4)
     };
     let before = suspected.checked_sub(1).map(|line| &report.entries[line]);
@@ -107,7 +107,7 @@ fn taps(report: &Report, alarm: &Alarm) -> Markup {
                         td.n { (gap(before, tap)) }
                         td.n { (gap(Some(first), tap)) }
                         td.n { (gap(Some(worst), tap)) }
-                        td.n { (Number(worst.similarity.get(tap).copied().flatten(), 4)) }
+                        td.n { (Number(worst.tap_similarity.get(tap).copied().flatten(), 4)) }
                     }
                 }
             }
@@ -119,7 +119,7 @@ fn lines(entries: &[Entry]) -> Markup {
     html! {
         table.lines {
             (head(&[
-                Numbers("Time"), Numbers("Frame"), Words("State"), Numbers("Score"), Numbers("Change"),
+                Numbers("Time"), Numbers("Frame"), Words("State"), Numbers("Gap"), Numbers("Change"),
                 Numbers("Lanes lost"), Words("Likely cause"), Words("Health"),
             ]))
             tbody {
@@ -128,7 +128,7 @@ fn lines(entries: &[Entry]) -> Markup {
                         td.n { (format_args!("{:.2} s", entry.t_s)) }
                         td.n { @if let Some(number) = entry.sequence { (number) } @else { "–" } }
                         td { (badge(entry.state)) }
-                        td.n { (Number(entry.score, 2)) }
+                        td.n { (Number(entry.gap, 2)) }
                         td.n { (Number(entry.change, 2)) }
                         td.n { (Percent(entry.lanes)) }
                         td.likely { @if let Some(cause) = entry.cause { (cause.to_string()) } @else { "–" } }

@@ -65,6 +65,8 @@ pub struct Alarm {
     pub open: bool,
     /// The largest score inside, and in the suspicion before.
     pub score_max: Option<f64>,
+    /// The largest gap inside, and in the suspicion before.
+    pub gap_max: Option<f64>,
     /// The largest change inside, and in the suspicion before.
     pub change_max: Option<f64>,
     /// The largest forecast of the share of lanes that the model loses, inside and in the suspicion before.
@@ -105,7 +107,7 @@ impl Report {
         } = reading;
         let taps: BTreeSet<String> = entries
             .iter()
-            .flat_map(|entry| entry.gap.keys().cloned())
+            .flat_map(|entry| entry.tap_gap.keys().cloned())
             .collect();
         Self {
             alarms: alarms(&entries),
@@ -258,7 +260,7 @@ pub(super) fn is_end(entry: &Entry) -> bool {
 }
 
 fn is_unjudged(entry: &Entry) -> bool {
-    entry.score.is_none() && !is_end(entry)
+    entry.gap.is_none() && !is_end(entry)
 }
 
 /// Why a line has no score. A line without a frame has no health.
@@ -324,6 +326,7 @@ fn alarm(entries: &[Entry], kind: AlarmState, suspected: usize, next: usize) -> 
         to_s: entries[next.min(entries.len() - 1)].t_s,
         open: entries[next..].iter().all(is_end),
         score_max: entries[worst].score,
+        gap_max: largest(|entry| entry.gap),
         change_max: largest(|entry| entry.change),
         lanes_max: largest(|entry| entry.lanes),
         cause: likely_cause(&entries[first..next]),

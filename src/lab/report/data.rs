@@ -8,7 +8,7 @@ use super::states::{self, STATES};
 use crate::record::journal::Entry;
 use crate::reference::cause::Cause;
 
-/// Most lines that are drawn; of longer journals, per stretch the lines with the smallest and the largest score and all
+/// Most lines that are drawn; of longer journals, per stretch the lines with the smallest and the largest gap and all
 /// changes of state.
 const DRAWN_MAX: usize = 20_000;
 
@@ -18,7 +18,7 @@ pub struct Data<'a> {
     t: Vec<f64>,
     state: Vec<usize>,
     states: [&'static str; 6],
-    score: Vec<Option<f64>>,
+    gap: Vec<Option<f64>>,
     change: Vec<Option<f64>>,
     /// Shares of 1.
     lanes: Vec<Option<f64>>,
@@ -49,12 +49,12 @@ pub fn drawn(entries: &[Entry]) -> Vec<usize> {
     let mut places = Vec::new();
     for from in (0..entries.len()).step_by(stretch) {
         let to = (from + stretch).min(entries.len());
-        let by_score = |&a: &usize, &b: &usize| {
-            let score = |i: usize| entries[i].score.unwrap_or(f64::NEG_INFINITY);
-            score(a).total_cmp(&score(b))
+        let by_gap = |&a: &usize, &b: &usize| {
+            let gap = |i: usize| entries[i].gap.unwrap_or(f64::NEG_INFINITY);
+            gap(a).total_cmp(&gap(b))
         };
-        places.extend((from..to).min_by(by_score));
-        places.extend((from..to).max_by(by_score));
+        places.extend((from..to).min_by(by_gap));
+        places.extend((from..to).max_by(by_gap));
         places.extend((from.max(1)..to).filter(|&i| entries[i].state != entries[i - 1].state));
     }
     places.push(entries.len() - 1);
@@ -91,7 +91,7 @@ pub fn data(report: &Report) -> Data<'_> {
         t: lines.iter().map(|e| e.t_s).collect(),
         state: lines.iter().map(|e| states::place(e.state)).collect(),
         states: STATES.map(|(state, _)| state.name()),
-        score: lines.iter().map(|e| e.score).collect(),
+        gap: lines.iter().map(|e| e.gap).collect(),
         change: lines.iter().map(|e| e.change).collect(),
         lanes: lines.iter().map(|e| e.lanes).collect(),
         cause: lines.iter().map(|e| place_of_cause(e)).collect(),
@@ -107,7 +107,7 @@ pub fn data(report: &Report) -> Data<'_> {
                 name,
                 gap: lines
                     .iter()
-                    .map(|e| e.gap.get(name).copied().flatten())
+                    .map(|e| e.tap_gap.get(name).copied().flatten())
                     .collect(),
             })
             .collect(),

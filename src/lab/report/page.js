@@ -1,7 +1,7 @@
 "use strict";
 (() => {
   const data = JSON.parse(document.getElementById("data").textContent);
-  const { t, score, change, lanes, cause, causes, probability, state, states, health, healths, latency, taps, alarms } = data;
+  const { t, gap, change, lanes, cause, causes, probability, state, states, health, healths, latency, taps, alarms } = data;
   const byId = (id) => document.getElementById(id);
   const charts = byId("charts"), reading = byId("reading");
   const first = t[0], last = t[t.length - 1], whole = Math.max(last - first, 1e-3);
@@ -160,9 +160,9 @@
   const dashes = ["", "7 3", "2 3"];
   const known = (values) => values.some((value) => value !== null);
   const scores = known(change)
-    ? [{ values: score, name: "score" }, { values: change, name: "change", colour: "var(--tap0)", dash: dashes[1] }]
-    : [{ values: score }];
-  const scoreRow = (height) => curves(known(change) ? "Scores" : "Score", height, scores, { threshold: true });
+    ? [{ values: gap, name: "gap" }, { values: change, name: "change", colour: "var(--tap0)", dash: dashes[1] }]
+    : [{ values: gap }];
+  const scoreRow = (height) => curves(known(change) ? "Gap and change" : "Gap", height, scores, { threshold: true });
   const lanesRow = curves("Lanes lost, forecast, %", 56, [{ values: lanes.map((share) => (share === null ? null : 100 * share)), colour: "var(--tap0)" }], {});
   // What no line says has no row.
   const causeRows = known(cause) ? [causeRow] : [], lanesRows = known(lanes) ? [lanesRow] : [];
@@ -211,7 +211,7 @@
     if (!cursor || !cursor.isConnected) cursor = svgOf("line", { y1: 20, y2: drawn.height - 20, class: "cursor" }, drawn.svg);
     cursor.setAttribute("x1", px);
     cursor.setAttribute("x2", px);
-    reading.textContent = `${t[i].toFixed(2)} s: ${states[state[i]]}, score ${shown(score[i], 2)}` +
+    reading.textContent = `${t[i].toFixed(2)} s: ${states[state[i]]}, gap ${shown(gap[i], 2)}` +
       (change[i] === null ? "" : `, change ${shown(change[i], 2)}`) +
       (lanes[i] === null ? "" : `, lanes lost ${shown(100 * lanes[i], 0)} %`) +
       (cause[i] === null ? "" : `, ${causes[cause[i]]} (${shown(100 * probability[i], 0)} %)`) +

@@ -29,8 +29,11 @@ pub struct Moment {
     pub state: String,
     /// The reason for the state.
     pub reason: String,
-    /// The largest of all evidence.
+    /// The largest score of the answers that raise the warning.
     pub score: Option<f64>,
+    /// How far the road is from the nearest nominal domain.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub gap: Option<f64>,
     /// How far the road differs from its own past, if this is known.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub change: Option<f64>,

@@ -156,6 +156,7 @@ impl EventRecorder {
                 state: verdict.state.name().to_owned(),
                 reason: verdict.reason.name().to_owned(),
                 score: verdict.score,
+                gap: verdict.gap,
                 change: verdict.change,
                 lanes: verdict.lanes,
                 cause: verdict.cause.map(|likely| likely.cause),
@@ -167,7 +168,7 @@ impl EventRecorder {
             at: frame.captured_at,
             edge,
             pixels,
-            look: (edge && verdict.score.is_some()).then(look),
+            look: (edge && verdict.gap.is_some()).then(look),
         };
         let taken = if self.patient {
             self.sender.send(message).is_ok()

@@ -3,11 +3,12 @@
 use serde::{Deserialize, Serialize};
 
 use crate::capture::clock::ClockTime;
+use crate::monitor::warn::WarnOn;
 use crate::reference::{FalseAlarms, NominalDrives, Reference};
 use crate::statistics::event_rate::Hours;
 
 /// Version of the format.
-pub const VERSION: u64 = 3;
+pub const VERSION: u64 = 4;
 
 /// The first line.
 #[derive(Serialize)]
@@ -33,6 +34,10 @@ pub struct About {
     pub reference: String,
     /// Whether the reference was made of simulation alone.
     pub strict: bool,
+    /// The answers that raise the warning: gap, change, lanes.
+    pub warn: String,
+    /// Whether the road was seen while it was judged, so that the time of day is that of the road.
+    pub live: bool,
     /// How gaps were measured.
     pub metric: String,
     /// Length of the detector's window, seconds.
@@ -47,7 +52,7 @@ pub struct About {
 
 impl About {
     /// Describes a run over `source` with the reference of that name.
-    pub fn new(source: &str, name: &str, reference: &Reference) -> Self {
+    pub fn new(source: &str, name: &str, reference: &Reference, warn: WarnOn) -> Self {
         Self {
             gapwatch: env!("CARGO_PKG_VERSION").to_owned(),
             source: source.to_owned(),
@@ -55,6 +60,8 @@ impl About {
             model_sha256: reference.model.sha256.clone(),
             reference: name.to_owned(),
             strict: reference.strict,
+            warn: warn.to_string(),
+            live: false,
             metric: reference.metric.to_string(),
             window_s: reference.window_s,
             thresholds: reference.false_alarms.method.clone(),

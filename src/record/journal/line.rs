@@ -18,14 +18,15 @@ pub struct Line<'a> {
     state: &'static str,
     reason: &'static str,
     score: Option<f64>,
+    gap: Option<f64>,
     change: Option<f64>,
     lanes: Option<f64>,
     cause: Option<&'static str>,
     cause_probability: Option<f64>,
-    gap: PerTap<'a>,
-    similarity: PerTap<'a>,
     health: String,
     latency_ms: f64,
+    tap_gap: PerTap<'a>,
+    tap_similarity: PerTap<'a>,
     tap_score: PerTap<'a>,
     image: Option<Image>,
 }
@@ -70,17 +71,18 @@ impl<'a> Line<'a> {
             state: verdict.state.name(),
             reason: verdict.reason.name(),
             score: verdict.score,
+            gap: verdict.gap,
             change: verdict.change,
             lanes: verdict.lanes,
             cause: verdict.cause.map(|likely| likely.cause.name()),
             cause_probability: verdict.cause.map(|likely| likely.probability),
-            gap: per_tap(|block| block.gap),
-            similarity: per_tap(|block| block.similarity),
             health: verdict
                 .undefined
                 .as_ref()
                 .map_or_else(|| "ok".to_owned(), ToString::to_string),
             latency_ms: latency.as_secs_f64() * 1e3,
+            tap_gap: per_tap(|block| block.gap),
+            tap_similarity: per_tap(|block| block.similarity),
             tap_score: per_tap(|block| block.score),
             image: verdict.quality.map(Image::from),
         }

@@ -79,18 +79,20 @@ pub struct Entry {
     pub state: AlarmState,
     /// The reason for the state, with the journal's word.
     pub reason: String,
-    /// The largest of all evidence; `None` when the frame was not judged.
+    /// The largest score of the answers that raise the warning; `None` when none of them is known.
     pub score: Option<f64>,
+    /// How far the road is from the nearest nominal domain; `None` when the frame was not judged.
+    pub gap: Option<f64>,
     /// How far the road differs from its own past; `None` when this is not known.
     pub change: Option<f64>,
     /// Forecast of the share of lanes that the model loses, 0..1; `None` when there is no forecast.
     pub lanes: Option<f64>,
     /// What most likely causes the evidence; `None` when nothing is known of it.
     pub cause: Option<LikelyCause>,
-    /// Gap by tap.
-    pub gap: BTreeMap<String, Option<f64>>,
+    /// Gap by tap, in the metric's own units.
+    pub tap_gap: BTreeMap<String, Option<f64>>,
     /// Similarity by tap.
-    pub similarity: BTreeMap<String, Option<f64>>,
+    pub tap_similarity: BTreeMap<String, Option<f64>>,
     /// Score by tap.
     pub tap_score: BTreeMap<String, Option<f64>>,
     /// `ok`, or why the frame was not judged.
@@ -253,11 +255,12 @@ fn entry(object: &Map<String, Value>) -> Result<Entry, Mismatch> {
             .ok_or_else(|| mismatch(object, "state", &STATES.map(AlarmState::name).join(", ")))?,
         reason: given(object, "reason").map_or(Ok("none".to_owned()), |_| text("reason"))?,
         score: number("score")?,
+        gap: number("gap")?,
         change: number("change")?,
         lanes: share(object, "lanes")?,
         cause: likely_cause(object)?,
-        gap: per_tap(object, "gap")?,
-        similarity: per_tap(object, "similarity")?,
+        tap_gap: per_tap(object, "tap_gap")?,
+        tap_similarity: per_tap(object, "tap_similarity")?,
         tap_score: per_tap(object, "tap_score")?,
         health: given(object, "health").map_or(Ok("ok".to_owned()), |_| text("health"))?,
         latency_ms: from_0("latency_ms")?.unwrap_or_default(),

@@ -30,7 +30,7 @@ use crate::reference::cause::Cause;
 /// The journal's line as a schema; the taps are added to its objects, and the causes to its list.
 const VERDICT_SCHEMA: &str = include_str!("verdict.schema.json");
 /// The objects of a line that have one number for each tap.
-const PER_TAP: [&str; 3] = ["gap", "similarity", "tap_score"];
+const PER_TAP: [&str; 3] = ["tap_gap", "tap_similarity", "tap_score"];
 /// Fields of `sensor_msgs/msg/CompressedImage` and of the messages in it, in the notation of ROS 2.
 const IMAGE_SCHEMA: &str = "std_msgs/Header header
 string format
