@@ -108,7 +108,7 @@ fn a_drive_with_a_cut_picture_goes_on_without_it() {
         "{}",
         lines[8]
     );
-    assert!(lines[8]["score"].is_null() && lines[8]["gap"]["e2"].is_null());
+    assert!(lines[8]["score"].is_null() && lines[8]["tap_gap"]["e2"].is_null());
     assert_eq!(
         (lines[15]["state"].as_str(), lines[15]["reason"].as_str()),
         (Some("SensorFault"), Some("corrupt"))

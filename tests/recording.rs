@@ -92,14 +92,14 @@ fn verdicts_lie_beside_the_images_and_are_the_journal_s() {
         for (key, value) in verdict.as_object().unwrap() {
             assert_eq!(value, &line[key], "{key}");
         }
-        assert!(verdict["gap"].is_object() && !verdict["state"].is_null());
+        assert!(verdict["tap_gap"].is_object() && !verdict["state"].is_null());
         let at_s = message.log_time as f64 / 1e9;
         assert!((at_s - line["t_s"].as_f64().unwrap()).abs() < 1e-9);
     }
     let schema = verdicts[0].channel.schema.as_ref().unwrap();
     let properties: Value = serde_json::from_slice(&schema.data).unwrap();
     assert_eq!(
-        properties["properties"]["gap"]["properties"]["e4"]["type"],
+        properties["properties"]["tap_gap"]["properties"]["e4"]["type"],
         "number"
     );
     let summary = mcap::Summary::read(&bytes).unwrap().unwrap();

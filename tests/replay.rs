@@ -78,7 +78,8 @@ fn journal_lines_have_every_key_and_one_number_a_tap() {
             "reason",
             "score",
             "gap",
-            "similarity",
+            "tap_gap",
+            "tap_similarity",
             "health",
             "latency_ms",
         ] {
@@ -86,8 +87,8 @@ fn journal_lines_have_every_key_and_one_number_a_tap() {
         }
         for tap in ["e2", "e3", "e4"] {
             let (gap, similarity) = (
-                line["gap"][tap].as_f64().unwrap(),
-                line["similarity"][tap].as_f64().unwrap(),
+                line["tap_gap"][tap].as_f64().unwrap(),
+                line["tap_similarity"][tap].as_f64().unwrap(),
             );
             assert!(gap >= 0.0 && (similarity * (1.0 + gap) - 1.0).abs() < 1e-12);
         }

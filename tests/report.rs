@@ -32,7 +32,7 @@ fn hostile_journal() -> String {
             )
         });
         format!(
-            r#"{{"t_s":{t},"seq":{t},"state":"{state}","reason":"{reason}","score":{},{likely}"gap":{{"{HOSTILE}":{},"e3":{}}},"similarity":{{"{HOSTILE}":null,"e3":0.5}},"health":"{health}","latency_ms":{t}.25,"tap_score":{{"e3":{},"e2":null}},"later":[1]}}"#,
+            r#"{{"t_s":{t},"seq":{t},"state":"{state}","reason":"{reason}","score":{},{likely}"tap_gap":{{"{HOSTILE}":{},"e3":{}}},"tap_similarity":{{"{HOSTILE}":null,"e3":0.5}},"health":"{health}","latency_ms":{t}.25,"tap_score":{{"e3":{},"e2":null}},"later":[1]}}"#,
             number(1.0),
             number(0.01),
             number(0.02),
@@ -60,7 +60,7 @@ fn hostile_journal() -> String {
         .zip(0..)
         .map(|((state, score, cause), t)| line(t, state, *score, *cause));
     let first = format!(
-        r#"{{"gapwatch_journal":3,"began":{{"utc":"{HOSTILE}"}},"about":{{"source":"{HOSTILE}"}}}}"#
+        r#"{{"gapwatch_journal":4,"began":{{"utc":"{HOSTILE}"}},"about":{{"source":"{HOSTILE}"}}}}"#
     );
     let lines: Vec<String> = [first].into_iter().chain(lines).collect();
     lines.join("\n") + "\n"

@@ -69,7 +69,7 @@ pub struct ReplayArgs {
     #[command(flatten)]
     pub model: ModelArgs,
     /// Answers that raise the warning: gap, change, lanes [default: gap,change; for pictures and the reference inside the
-    /// program change,lanes]
+    /// program lanes]
     #[arg(long, value_name = "ANSWER,...", value_delimiter = ',')]
     pub warn: Vec<Answer>,
     /// Where CAN frames go: log:FILE (candump format), log:- (standard output), socketcan:IFACE (needs --speed

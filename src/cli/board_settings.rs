@@ -52,7 +52,7 @@ pub fn warn_on(board: &Board, reference: &Reference, file: &Path) -> anyhow::Res
     match warn.check(reference, is_real) {
         Ok(()) => Ok(warn),
         Err(error @ WarnOnError::Strict) => bail!(
-            "{}: {error}; wanted reference = \"FILE\" with accepted roads ({}), warn = [\"change\", \"lanes\"], or strict = \
+            "{}: {error}; wanted reference = \"FILE\" with accepted roads ({}), warn = [\"lanes\"], or strict = \
              true, in [monitor]",
             file.display(),
             accepting(reference, of.reference.as_deref(), None)

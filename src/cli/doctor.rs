@@ -143,7 +143,7 @@ fn reference(
     };
     let alarms = &reference.false_alarms;
     let found = format!(
-        "{name}, {}, {strict}, {warn} raise the warning, made for {} false alarms an hour, {}",
+        "{name}, {}, {strict}, warns on {warn}, made for {} false alarms an hour, {}",
         reference.metric,
         alarms.wanted_per_hour,
         alarms.said()

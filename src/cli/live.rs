@@ -103,16 +103,21 @@ impl Live {
 
 fn line(verdict: &Verdict, rate_hz: Option<f64>, age: Duration) -> String {
     let state = coloured(verdict.state, format!("{:<11}", verdict.state.name()));
-    let score = match verdict.score {
-        Some(score) => format!("score {:>6.2} {}", score + 0.0, score_bar(score)),
-        None => format!("no score     {}", " ".repeat(BAR)),
+    let gap = match verdict.gap {
+        Some(gap) => format!("gap {:>6.2}", gap + 0.0),
+        None => "no gap    ".to_owned(),
     };
+    let change = match verdict.change {
+        Some(change) => format!("  change {:>5.2}", change + 0.0),
+        None => " ".repeat(14),
+    };
+    let bar = verdict.score.map_or_else(|| " ".repeat(BAR), score_bar);
     let cause = cause_of_evidence(verdict);
     let cause = cause.map_or_else(String::new, |cause| format!("  {cause}"));
     let lanes = lanes_lost(verdict);
     let rate = rate_hz.map_or_else(|| "  –".to_owned(), |hz| format!("{hz:>3.0}"));
     format!(
-        "{state}  {score}{lanes}{cause}  {rate} frames/s  {:>4} ms old",
+        "{state}  {bar} {gap}{change}{lanes}{cause}  {rate} frames/s  {:>4} ms old",
         age.as_millis()
     )
 }

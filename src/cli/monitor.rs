@@ -105,7 +105,9 @@ pub fn run(args: &MonitorArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
     take_frames(source, Arc::clone(&shared));
     let (words, told) = channel();
     let judge = Judge {
-        sight: Sight::new(&model.encoder, &reference)?.with_frames_every(periods.idle),
+        sight: Sight::new(&model.encoder, &reference)?
+            .with_frames_every(periods.idle)
+            .warning_on(warn),
         judging: Judging::new(periods, warn),
         words,
         recorder,

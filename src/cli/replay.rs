@@ -58,8 +58,8 @@ pub fn run(args: &ReplayArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
     let about = About::new(source_name, &reference_name, &reference, warn);
     if reference.strict && !is_rendered(source_name) {
         log::warn!(
-            "the reference {reference_name} knows simulation alone, so any real road is a gap to it; {warn} raise the \
-             warning; this command makes a reference that accepts this road: {}",
+            "the reference {reference_name} knows simulation alone, so any real road is a gap to it; here the warning comes \
+             from {warn}; this command makes a reference that accepts this road: {}",
             accepting(&reference, args.reference.as_deref(), Some(source_name))
         );
     }

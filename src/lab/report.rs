@@ -16,6 +16,7 @@ mod data;
 mod timeline;
 
 mod alarms;
+mod answers;
 mod behind;
 mod chart;
 

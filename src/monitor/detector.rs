@@ -132,6 +132,8 @@ pub struct Detector {
     began: Option<Duration>,
     /// The domain that was nearest last.
     nearest: Option<usize>,
+    /// A road beyond the threshold of the gap is no past to compare with.
+    gap_holds_past: bool,
     causes: Option<Causes>,
     lanes: Option<LaneForecast>,
     /// `[energies of all taps]`, what is to be explained.
@@ -174,6 +176,7 @@ impl Detector {
             sums: vec![0; bins],
             began: None,
             nearest: None,
+            gap_holds_past: true,
         }
     }
 
@@ -183,6 +186,15 @@ impl Detector {
             cusum: Cusum::with_frames_every(period),
             watch: SpanWatch::new(&self.components, period),
             period,
+            ..self
+        }
+    }
+
+    /// For some answers that raise the warning. If the gap does not, a road that is a gap all the time is a past to compare
+    /// with like any other.
+    pub fn warning_on(self, warn: WarnOn) -> Self {
+        Self {
+            gap_holds_past: warn.gap,
             ..self
         }
     }
@@ -333,7 +345,8 @@ impl Detector {
         let changes = (0..spans).filter(|&span| self.watch.is_change(span));
         let changes = changes.filter_map(|span| parts[1 + span]);
         evidence.change = changes.map(|of| of.score).reduce(f64::max);
-        self.watch.note(&parts[1..=spans], evidence.gap >= 1.0);
+        let held = self.gap_holds_past && evidence.gap >= 1.0;
+        self.watch.note(&parts[1..=spans], held);
         let known = parts.iter().take(1 + spans);
         evidence.parts = known.map(|part| part.map(|of| of.score)).collect();
         Ok(evidence)
@@ -433,6 +446,7 @@ mod tests {
     )]
     use super::*;
     use crate::features::histogram::Binning;
+    use crate::monitor::warn::Answer;
     use crate::reference::gap::Divergence;
     use crate::reference::{Nominal, ScalePoint, TapReference};
 
@@ -457,6 +471,44 @@ mod tests {
         ] {
             assert_eq!(found.judgement(WarnOn::default()), wanted);
         }
+    }
+
+    #[test]
+    fn only_the_answers_that_raise_the_warning_are_evidence() {
+        let evidence = Evidence {
+            change: Some(2.0),
+            lanes: Some(0.75),
+            drift: 1.0,
+            ..Evidence::of_gap(4.0)
+        };
+        let of = |names: &[Answer]| {
+            let warn = WarnOn::these(names);
+            (evidence.score_of(warn), evidence.judgement(warn))
+        };
+        let settled = true;
+        let gap = Judgement::Score {
+            score: 4.0,
+            settled,
+        };
+        assert_eq!(of(&[Answer::Gap, Answer::Lanes]), (Some(4.0), gap));
+        let lanes = Judgement::Lanes { settled };
+        assert_eq!(of(&[Answer::Change, Answer::Lanes]), (Some(2.0), lanes));
+        assert_eq!(of(&[Answer::Lanes]), (Some(1.5), lanes));
+        let change = Judgement::Change { settled };
+        assert_eq!(of(&[Answer::Change]), (Some(2.0), change));
+        // A forecast below a half, and a past that is not known yet, are no evidence.
+        let calm = Evidence {
+            change: None,
+            lanes: Some(0.49),
+            ..Evidence::of_gap(4.0)
+        };
+        let nominal = Judgement::Score {
+            score: 0.0,
+            settled,
+        };
+        assert_eq!(calm.judgement(WarnOn::these(&[Answer::Lanes])), nominal);
+        assert_eq!(calm.judgement(WarnOn::these(&[Answer::Change])), nominal);
+        assert_eq!(calm.score_of(WarnOn::these(&[Answer::Change])), None);
     }
 
     /// A detector of one tap with four bins, nominal (1, 1, 1, 1), median 0.1 and threshold 0.3 for any window.

@@ -271,6 +271,33 @@ mod tests {
     }
 
     #[test]
+    fn lost_lanes_are_a_gap_where_they_raise_the_warning() {
+        let lost = |number: u32| Sighting {
+            evidence: Ok(Evidence {
+                lanes: Some(0.8),
+                ..Evidence::of_gap(0.1)
+            }),
+            ..seen(number, 0.1, None)
+        };
+        let lanes = WarnOn {
+            lanes: true,
+            ..WarnOn::default()
+        };
+        let mut asked = Judge::default().warning_on(lanes);
+        let mut not_asked = Judge::default();
+        for number in 0..30 {
+            asked.judge(lost(number));
+            not_asked.judge(lost(number));
+        }
+        let found = asked.judge(lost(30));
+        assert_eq!((found.state, found.reason), (AlarmState::Gap, Reason::Lanes));
+        assert_eq!((found.gap, found.score), (Some(0.1), Some(1.6)));
+        let calm = not_asked.judge(lost(30));
+        assert_eq!((calm.state, calm.score), (AlarmState::Ok, Some(0.1)));
+        assert_eq!(calm.lanes, Some(0.8));
+    }
+
+    #[test]
     fn silence_has_no_cause() {
         let mut judge = Judge::default();
         for number in 0..60 {

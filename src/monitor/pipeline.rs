@@ -55,8 +55,8 @@ impl Monitor {
     #[must_use]
     pub fn warning_on(self, warn: WarnOn) -> Self {
         Self {
+            sight: self.sight.warning_on(warn),
             judge: self.judge.warning_on(warn),
-            ..self
         }
     }
 
@@ -101,6 +101,15 @@ impl Sight {
         Self {
             camera: CameraHealth::with_frames_every(period),
             scorer: self.scorer.with_frames_every(period),
+            ..self
+        }
+    }
+
+    /// See [`Detector::warning_on`](crate::monitor::detector::Detector::warning_on).
+    #[must_use]
+    pub fn warning_on(self, warn: WarnOn) -> Self {
+        Self {
+            scorer: self.scorer.warning_on(warn),
             ..self
         }
     }

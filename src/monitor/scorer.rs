@@ -8,6 +8,7 @@ use crate::features::energies::BlockMeans;
 use crate::monitor::detector::{Detector, Evidence};
 use crate::monitor::extraction::Extraction;
 use crate::monitor::profile::TapProfile;
+use crate::monitor::warn::WarnOn;
 use crate::reference::gap::Metric;
 use crate::reference::{Component, Explained, Reference};
 
@@ -62,6 +63,15 @@ impl Scorer {
     pub fn with_frames_every(self, period: Duration) -> Self {
         Self {
             detector: self.detector.with_frames_every(period),
+            ..self
+        }
+    }
+
+    /// See [`Detector::warning_on`].
+    #[must_use]
+    pub fn warning_on(self, warn: WarnOn) -> Self {
+        Self {
+            detector: self.detector.warning_on(warn),
             ..self
         }
     }

@@ -100,15 +100,13 @@ impl WarnOn {
     }
 
     /// The default for a reference: gap and change. On a real road, a reference made of simulation alone answers "gap"
-    /// all the time, so there it is change and lanes, as far as the reference knows them.
+    /// all the time and "change" most of the time, so there it is its forecast of lanes, if it has one.
     pub fn suited_to(reference: &Reference, is_real: bool) -> Self {
-        let lanes = reference.lanes.is_some();
-        let change = reference.knows_changes();
-        if reference.strict && is_real && (lanes || change) {
+        if reference.strict && is_real && reference.lanes.is_some() {
             Self {
                 gap: false,
-                change,
-                lanes,
+                change: false,
+                lanes: true,
             }
         } else {
             Self::default()
@@ -147,5 +145,39 @@ impl fmt::Display for WarnOn {
         let names = Answer::ALL.into_iter().filter(|&answer| self.has(answer));
         let names: Vec<&str> = names.map(Answer::name).collect();
         f.write_str(&names.join(", "))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    #[test]
+    fn answers_are_read_and_written_by_their_names() {
+        let names: Vec<Answer> = ["lanes", "gap"].map(|name| name.parse().unwrap()).into();
+        assert_eq!(WarnOn::these(&names).to_string(), "gap, lanes");
+        let refused = "score".parse::<Answer>().unwrap_err().to_string();
+        assert_eq!(
+            refused,
+            "\"score\" is no answer; wanted gap, change or lanes"
+        );
+    }
+
+    #[test]
+    fn on_a_real_road_simulation_alone_warns_of_lanes() {
+        let shipped = Reference::read(None).unwrap();
+        assert!(shipped.strict && shipped.lanes.is_some());
+        let lanes = WarnOn::these(&[Answer::Lanes]);
+        assert_eq!(WarnOn::suited_to(&shipped, true), lanes);
+        assert_eq!(WarnOn::suited_to(&shipped, false), WarnOn::default());
+        assert_eq!(
+            WarnOn::default().check(&shipped, true),
+            Err(WarnOnError::Strict)
+        );
+        assert_eq!(WarnOn::default().check(&shipped, false), Ok(()));
+        let without = shipped.with_lanes(None);
+        assert_eq!(WarnOn::suited_to(&without, true), WarnOn::default());
+        assert_eq!(lanes.check(&without, true), Err(WarnOnError::NoForecast));
     }
 }

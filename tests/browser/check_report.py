@@ -136,7 +136,7 @@ def check_numbers(page, lines):
     for title, key in (("Scores", "change"), ("Likely cause", "cause"), ("Lanes lost, forecast, %", "lanes")):
         assert (title in titles) == any(line.get(key) is not None for line in lines), titles
     for tap in drawn["taps"]:
-        assert tap["gap"] == [line["gap"][tap["name"]] for line in lines]
+        assert tap["gap"] == [line["tap_gap"][tap["name"]] for line in lines]
 
 
 def check_alarms(page, lines):

@@ -397,7 +397,7 @@ class Check:
                 inside = [i for i in range(last + 1) if lines[i]["t_s"] > begin]
                 window = oracle.log_energy_histogram(maps[inside], epsilon, edges)
                 wanted = oracle.jensen_shannon_bits(window.average, nominal)
-                gap, similarity = line["gap"][tap["tap"]], line["similarity"][tap["tap"]]
+                gap, similarity = line["tap_gap"][tap["tap"]], line["tap_similarity"][tap["tap"]]
                 # A pixel in the bin beside the oracle's moves the divergence by less than this.
                 pixels = int(window.counts.sum())
                 edge_pixels = int((window.above_most - window.above_least).sum())

@@ -50,7 +50,7 @@ fn table(report: &Report) -> Markup {
                                 span.number { (number) } " " (badge(alarm.state))
                             }
                         }
-                        (cells(alarm))
+                        (cells(report, alarm))
                     }
                     tr.behind #(id) hidden {
                         td colspan="10" { (behind(report, alarm, report.shown.get(&place))) }
@@ -61,10 +61,13 @@ fn table(report: &Report) -> Markup {
     }
 }
 
-fn cells(alarm: &Alarm) -> Markup {
+fn cells(report: &Report, alarm: &Alarm) -> Markup {
     let Alarm { from_s, to_s, .. } = alarm;
     html! {
-        td.n { (format_args!("{from_s:.1} s")) }
+        td.n {
+            (format_args!("{from_s:.1} s"))
+            @if let Some(time) = report.time_of_day(*from_s) { br; (time) }
+        }
         td.n { (format_args!("{to_s:.1} s")) @if alarm.open { " (end)" } }
         td.n { (format_args!("{:.1} s", to_s - from_s)) }
         td.n { (Number(alarm.gap_max, 2)) }

@@ -9,13 +9,14 @@ use crate::record::journal::About;
 pub fn calibration(about: &About) -> Markup {
     let window = format!("{} s", about.window_s);
     let made_of = if about.strict {
-        "simulation alone: any real road is a standing gap to it; gapwatch calibrate --base … --accept ROAD accepts roads"
+        "simulation alone: any real road is a gap to it"
     } else {
         "simulation and accepted drives"
     };
     let list = [
         ("Reference", about.reference.as_str()),
         ("Made of", made_of),
+        ("Warns of", &about.warn),
         ("Metric", &about.metric),
         ("Window", &window),
         ("Thresholds", &about.thresholds),

@@ -225,6 +225,14 @@ impl Report {
         Some(shares.map(|share| sorted[rank(share).saturating_sub(1).min(last)]))
     }
 
+    /// Time of day, UTC, of a moment of a run that was seen live; `None` of others, and if the clock was not set.
+    pub(super) fn time_of_day(&self, t_s: f64) -> Option<String> {
+        let began: jiff::Timestamp = self.began.utc.parse().ok()?;
+        let since = jiff::SignedDuration::try_from_secs_f64(t_s).ok()?;
+        let at = began.checked_add(since).ok()?;
+        (self.about.live && self.began.is_set).then(|| at.strftime("%H:%M:%S UTC").to_string())
+    }
+
     /// Frames that the source numbered but the journal does not have.
     pub fn missing_frames(&self) -> u64 {
         let numbers: BTreeSet<u64> = self.entries.iter().filter_map(|e| e.sequence).collect();

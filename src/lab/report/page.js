@@ -162,7 +162,7 @@
   const scores = known(change)
     ? [{ values: gap, name: "gap" }, { values: change, name: "change", colour: "var(--tap0)", dash: dashes[1] }]
     : [{ values: gap }];
-  const scoreRow = (height) => curves(known(change) ? "Gap and change" : "Gap", height, scores, { threshold: true });
+  const scoreRow = (height) => curves(known(change) ? "Scores" : "Gap", height, scores, { threshold: true });
   const lanesRow = curves("Lanes lost, forecast, %", 56, [{ values: lanes.map((share) => (share === null ? null : 100 * share)), colour: "var(--tap0)" }], {});
   // What no line says has no row.
   const causeRows = known(cause) ? [causeRow] : [], lanesRows = known(lanes) ? [lanesRow] : [];

@@ -6,6 +6,7 @@ use maud::{DOCTYPE, Markup, PreEscaped, html};
 use sha2::{Digest, Sha256};
 
 use super::alarms::alarms;
+use super::answers::answers;
 use super::calibration::calibration;
 use super::content::Report;
 use super::data::data;
@@ -23,6 +24,7 @@ impl Report {
         let parts = [
             header(self, name),
             tiles(self),
+            answers(self),
             timeline(self),
             alarms(self),
             judged(self),
@@ -37,8 +39,9 @@ impl Report {
                         @for part in parts { (part) "\n" }
                         @if !self.about.reference.is_empty() { (calibration(&self.about)) "\n" }
                         footer {
-                            "Score 0 is the median of nominal drives, 1 the alarm threshold. Change is how far the road \
-                            differs from its own past, on the same scale. Lanes lost is a forecast of the share of lanes \
+                            "Gap is how far the road is from the nearest nominal domain: 0 is the median of nominal drives, \
+                            1 the alarm threshold. Change is how far the road differs from its own past, on the same \
+                            scale. Lanes lost is a forecast of the share of lanes \
                             that the lane model loses. Made by gapwatch "
                             (env!("CARGO_PKG_VERSION")) "."
                         }

@@ -2,6 +2,7 @@
 
 use maud::{Markup, Render, html};
 
+use super::answers::strict_note;
 use super::content::Report;
 use super::states::sign;
 use super::text::{Number, Text};
@@ -22,8 +23,10 @@ pub fn header(report: &Report, name: &str) -> Markup {
                     " · began " (Text(&began.utc))
                     @if !began.is_set { " by a clock that was not set" }
                 }
+                @if report.about.live { ", seen live" }
                 @if report.breaks_off { " · the run was ended while it wrote its last line, which is left out" }
             }
+            @if let Some(note) = strict_note(&report.about) { p.note #strict { (Text(&note)) } }
         }
     }
 }

@@ -352,8 +352,8 @@ mod tests {
     use crate::monitor::judge::Verdict;
     use crate::record::journal::Journal;
 
-    const FIRST: &str = r#"{"gapwatch_journal":3,"began":{"utc":"2026-01-02T03:04:05.678Z","is_set":true,"monotonic_s":7.5},"about":{"source":"s"}}"#;
-    const LINE: &str = r#"{"t_s":0.5,"captured_s":0.49,"seq":5,"state":"Ok","reason":"none","score":0.25,"change":-0.5,"lanes":0.75,"cause":"another-road","cause_probability":0.875,"gap":{"e2":0.1,"e3":null},"similarity":{"e2":0.9,"e3":null},"health":"ok","latency_ms":3.5}"#;
+    const FIRST: &str = r#"{"gapwatch_journal":4,"began":{"utc":"2026-01-02T03:04:05.678Z","is_set":true,"monotonic_s":7.5},"about":{"source":"s"}}"#;
+    const LINE: &str = r#"{"t_s":0.5,"captured_s":0.49,"seq":5,"state":"Ok","reason":"none","score":0.25,"gap":0.25,"change":-0.5,"lanes":0.75,"cause":"another-road","cause_probability":0.875,"tap_gap":{"e2":0.1,"e3":null},"tap_similarity":{"e2":0.9,"e3":null},"health":"ok","latency_ms":3.5}"#;
 
     fn reading(text: &str) -> Result<Reading, String> {
         let folder = tempfile::tempdir().unwrap();
@@ -376,7 +376,11 @@ mod tests {
             probability: 0.875,
         };
         assert_eq!(entry.cause, Some(likely));
-        assert_eq!((entry.gap["e2"], entry.gap["e3"]), (Some(0.1), None));
+        assert_eq!(entry.gap, Some(0.25));
+        assert_eq!(
+            (entry.tap_gap["e2"], entry.tap_gap["e3"]),
+            (Some(0.1), None)
+        );
         assert!(entry.tap_score.is_empty());
         assert_eq!(reading.about.source, "s");
         assert_eq!(reading.began.monotonic_s, 7.5);
@@ -390,6 +394,7 @@ mod tests {
         let mut journal = Journal::create(&path, &[], &began, &about).unwrap();
         let verdicts = Cause::ALL.map(|cause| Verdict {
             score: Some(1.25),
+            gap: Some(0.5),
             change: Some(1.25),
             lanes: Some(1.0),
             cause: Some(LikelyCause {
@@ -407,8 +412,14 @@ mod tests {
         assert_eq!(entries.len(), verdicts.len());
         for (entry, verdict) in entries.iter().zip(&verdicts) {
             assert_eq!(
-                (entry.score, entry.change, entry.lanes, entry.cause),
-                (verdict.score, verdict.change, verdict.lanes, verdict.cause)
+                (entry.score, entry.gap, entry.change, entry.lanes, entry.cause),
+                (
+                    verdict.score,
+                    verdict.gap,
+                    verdict.change,
+                    verdict.lanes,
+                    verdict.cause
+                )
             );
         }
     }
@@ -416,8 +427,8 @@ mod tests {
     #[test]
     fn what_a_line_does_not_say_may_be_left_out_or_null() {
         let short = r#"{"t_s":1,"state":"Unavailable"}"#;
-        let nulls = r#"{"t_s":2,"captured_s":null,"seq":null,"state":"Init","reason":null,"score":null,"change":null,"lanes":null,"cause":null,"cause_probability":null,"gap":null,"health":null,"latency_ms":null,"later":1}"#;
-        let first = r#"{"gapwatch_journal":3}"#;
+        let nulls = r#"{"t_s":2,"captured_s":null,"seq":null,"state":"Init","reason":null,"score":null,"change":null,"lanes":null,"cause":null,"cause_probability":null,"gap":null,"tap_gap":null,"health":null,"latency_ms":null,"later":1}"#;
+        let first = r#"{"gapwatch_journal":4}"#;
         let reading = reading(&format!("{first}\n{short}\n{nulls}\n")).unwrap();
         for entry in &reading.entries {
             assert_eq!(
@@ -429,7 +440,7 @@ mod tests {
                 (entry.reason.as_str(), entry.health.as_str()),
                 ("none", "ok")
             );
-            assert!(entry.gap.is_empty());
+            assert!(entry.gap.is_none() && entry.tap_gap.is_empty());
         }
         assert_eq!(reading.about, About::default());
     }
