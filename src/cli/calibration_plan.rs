@@ -506,5 +506,6 @@ fn all<T>(found: Vec<Option<T>>) -> anyhow::Result<Vec<T>> {
 
 /// What a labelled drive's frames depend on besides the encoder: the lane output.
 fn lane_stamp(spec: &ModelSpec) -> String {
-    spec.lane.clone().unwrap_or_default()
+    // What a loss is belongs to it.
+    format!("{} 1-F1", spec.lane.as_deref().unwrap_or_default())
 }

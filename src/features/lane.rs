@@ -65,6 +65,117 @@ impl LaneMask {
     }
 }
 
+/// Within this many pixels of a mask that is 320 pixels wide, an output agrees with the truth.
+pub const TOLERANCE_320_PX: f64 = 2.0;
+
+/// How well an output agrees with the truth within [`TOLERANCE_320_PX`]: thin lines that lie next to each other agree.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct Agreement {
+    /// Lane pixels of the output near a lane pixel of the truth.
+    pub right: u64,
+    /// Lane pixels of the output.
+    pub answer: u64,
+    /// Lane pixels of the truth near a lane pixel of the output.
+    pub found: u64,
+    /// Lane pixels of the truth.
+    pub truth: u64,
+}
+
+impl Agreement {
+    /// The agreement of an output with the truth of the same size, in rows `from..to` of the truth; no output counts as
+    /// one without lane.
+    pub fn of_rows(answer: Option<&LaneMask>, truth: &LaneMask, from: usize, to: usize) -> Self {
+        let pixels = truth.width * from.min(truth.height)..truth.width * to.min(truth.height);
+        let judged = |lane: &[bool]| {
+            let all = lane.iter().enumerate();
+            all.map(|(pixel, &lane)| lane && pixels.contains(&pixel))
+                .collect::<Vec<bool>>()
+        };
+        let truth_lane = judged(&truth.lane);
+        let none = vec![false; truth_lane.len()];
+        let answer_lane = answer.map_or(none, |mask| judged(&mask.lane));
+        let count = |lane: &[bool], near: Option<&[bool]>| {
+            let near = |pixel: usize| near.is_none_or(|near| near[pixel]);
+            let all = lane.iter().enumerate();
+            all.filter(|&(pixel, &lane)| lane && near(pixel)).count() as u64
+        };
+        let near_truth = grown(&truth_lane, truth.width);
+        let near_answer = grown(&answer_lane, truth.width);
+        Self {
+            right: count(&answer_lane, Some(&near_truth)),
+            answer: count(&answer_lane, None),
+            found: count(&truth_lane, Some(&near_answer)),
+            truth: count(&truth_lane, None),
+        }
+    }
+
+    /// The agreement over all rows.
+    pub fn of(answer: Option<&LaneMask>, truth: &LaneMask) -> Self {
+        Self::of_rows(answer, truth, 0, truth.height)
+    }
+
+    /// The counts of all together.
+    pub fn pooled(all: impl Iterator<Item = Self>) -> Self {
+        all.fold(Self::default(), |sum, one| Self {
+            right: sum.right + one.right,
+            answer: sum.answer + one.answer,
+            found: sum.found + one.found,
+            truth: sum.truth + one.truth,
+        })
+    }
+
+    /// Share of the output's lane pixels that are right; `None` if there are none.
+    pub fn precision(self) -> Option<f64> {
+        (self.answer > 0).then(|| ratio(self.right, self.answer))
+    }
+
+    /// Share of the true lane pixels that are found; `None` if there are none.
+    pub fn recall(self) -> Option<f64> {
+        (self.truth > 0).then(|| ratio(self.found, self.truth))
+    }
+
+    /// Harmonic mean of precision and recall; 0 if no lane is found, `None` without lanes in the truth.
+    pub fn f1(self) -> Option<f64> {
+        let recall = self.recall()?;
+        let precision = self.precision().unwrap_or(0.0);
+        let sum = precision + recall;
+        Some(if sum > 0.0 {
+            2.0 * precision * recall / sum
+        } else {
+            0.0
+        })
+    }
+}
+
+/// A mask of rows of `width` pixels with all pixels within the tolerance of its lanes.
+#[allow(
+    clippy::cast_precision_loss,
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss
+)]
+fn grown(lane: &[bool], width: usize) -> Vec<bool> {
+    let height = lane.len() / width.max(1);
+    let reach = (TOLERANCE_320_PX * width as f64 / 320.0).max(0.0);
+    let whole = reach as usize;
+    let mut grown = vec![false; lane.len()];
+    for (pixel, _) in lane.iter().enumerate().filter(|&(_, &lane)| lane) {
+        let (x, y) = (pixel % width, pixel / width);
+        for row in y.saturating_sub(whole)..(y + whole + 1).min(height) {
+            let up = row.abs_diff(y) as f64;
+            let along = (reach * reach - up * up).max(0.0).sqrt() as usize;
+            let columns = x.saturating_sub(along)..(x + along + 1).min(width);
+            grown[row * width..][columns].fill(true);
+        }
+    }
+    grown
+}
+
+// Counts of pixels are far below 2^52.
+#[allow(clippy::cast_precision_loss)]
+fn ratio(part: u64, whole: u64) -> f64 {
+    part as f64 / whole as f64
+}
+
 /// Number of lane pixels that two masks have in common, and that at least one of them has.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Overlap {
@@ -148,6 +259,38 @@ mod tests {
             Overlap { both: 0, either: 2 }
         );
         assert_eq!(Overlap::iou([Overlap::default()].into_iter()), None);
+    }
+
+    #[test]
+    fn lines_agree_within_two_pixels_of_320_and_not_beyond() {
+        let column = |x: usize| LaneMask {
+            width: 320,
+            height: 4,
+            lane: (0..4 * 320).map(|pixel| pixel % 320 == x).collect(),
+        };
+        let truth = column(100);
+        let f1 = |x| Agreement::of(Some(&column(x)), &truth).f1();
+        assert_eq!((f1(100), f1(98), f1(102)), (Some(1.0), Some(1.0), Some(1.0)));
+        assert_eq!((f1(97), f1(103)), (Some(0.0), Some(0.0)));
+        assert_eq!(Agreement::of(None, &truth).f1(), Some(0.0));
+        let empty = LaneMask {
+            lane: vec![false; 4 * 320],
+            ..truth.clone()
+        };
+        assert_eq!(Agreement::of(Some(&truth), &empty).f1(), None);
+        // One of two lines is found, and nothing else is marked.
+        let both = LaneMask {
+            lane: (0..4 * 320).map(|pixel| [100, 200].contains(&(pixel % 320))).collect(),
+            ..truth.clone()
+        };
+        let half = Agreement::of(Some(&truth), &both);
+        assert_eq!((half.precision(), half.recall()), (Some(1.0), Some(0.5)));
+        assert!((half.f1().unwrap() - 2.0 / 3.0).abs() < 1e-12);
+        // Rows outside do not count.
+        let two_rows = Agreement::of_rows(Some(&truth), &both, 1, 3);
+        assert_eq!((two_rows.answer, two_rows.found, two_rows.truth), (2, 2, 4));
+        let pooled = Agreement::pooled([half, two_rows].into_iter());
+        assert_eq!((pooled.answer, pooled.truth), (6, 12));
     }
 
     #[test]

@@ -6,13 +6,11 @@ use crate::calibration::LabelledMeans;
 use crate::calibration::survey::{Keep, Survey, SurveyFrame};
 use crate::capture::{Picture, time_of};
 use crate::features::energies::EnergyStage;
-use crate::features::lane::{LaneMask, Overlap};
+use crate::features::lane::{Agreement, LaneMask};
 use crate::lab::scene::{Condition, ConditionKind, Drive, DriveSpec, Renderer};
 use crate::model::encoder::{Encoder, EncoderError};
 use crate::model::preprocess::Preprocessing;
 
-/// Lane IoU on a plain day below which a frame does not show how much a condition reduces it.
-const CLEAN_IOU_MIN: f64 = 0.3;
 /// Number of severities that the conditions have in turn.
 const SEVERITIES: usize = 5;
 
@@ -20,8 +18,8 @@ const SEVERITIES: usize = 5;
 pub struct LabelledSurvey {
     /// What the encoder saw.
     pub survey: Survey,
-    /// For every frame, the overlap of the model's lanes with the true lanes.
-    pub overlaps: Vec<Overlap>,
+    /// For every frame, how well the model's lanes agree with the true lanes.
+    pub agreements: Vec<Agreement>,
     /// For every frame, mean and standard deviation of its grey levels, 0 to 255.
     pub grey: Vec<[f64; 2]>,
 }
@@ -48,7 +46,7 @@ impl LabelledSurvey {
                 frames: Vec::new(),
                 common_size: stage.common_size(),
             },
-            overlaps: Vec::new(),
+            agreements: Vec::new(),
             grey: Vec::new(),
         };
         for sequence in 0..spec.frames() {
@@ -63,7 +61,7 @@ impl LabelledSurvey {
             labelled.grey.push(grey(&picture.rgb));
             let judged = stage.energies_of(&picture.into()).map(|_| ());
             let answer = judged.as_ref().ok().and(stage.lane());
-            labelled.overlaps.push(Overlap::of(answer, &truth));
+            labelled.agreements.push(Agreement::of(answer, &truth));
             labelled.survey.times.push(at);
             let frame = judged.map(|()| SurveyFrame::of(&stage, keep));
             labelled.survey.frames.push(frame);
@@ -87,11 +85,9 @@ fn grey(rgb: &[u8]) -> [f64; 2] {
     [mean / 3.0, variance.max(0.0).sqrt() / 3.0]
 }
 
-/// 1 - IoU / IoU on a plain day, 0 to 1; `None` if the model sees too little of the lanes on a plain day.
-pub fn loss(shifted: Overlap, clean: Overlap) -> Option<f64> {
-    let iou = |overlap| Overlap::iou(std::iter::once(overlap));
-    let clean = iou(clean).filter(|&iou| iou >= CLEAN_IOU_MIN)?;
-    Some((1.0 - iou(shifted)? / clean).clamp(0.0, 1.0))
+/// The share of its lanes that the model loses, 0 to 1: 1 - F1 within the tolerance; `None` where there are no lanes.
+pub fn loss(agreement: Agreement) -> Option<f64> {
+    agreement.f1().map(|f1| 1.0 - f1)
 }
 
 /// The conditions under which the drive with this number is seen: each kind, with severities 1 to 5 in turn.
@@ -131,7 +127,7 @@ pub fn training_frames(
 }
 
 /// Frames of one drive under each kind of condition, with what the lane model loses there; `number` sets the severities
-/// as in [`conditions`]. Frames in which the model sees too little of the lanes on a plain day are left out.
+/// as in [`conditions`]. Frames without lanes are left out.
 ///
 /// # Errors
 /// When the encoder cannot be run at all.
@@ -141,16 +137,13 @@ pub fn frames_of(
     encoder: &Encoder,
     preprocessing: &Preprocessing,
 ) -> Result<Vec<(ConditionKind, LabelledMeans)>, EncoderError> {
-    let look = |spec: &DriveSpec| LabelledSurvey::of(spec, encoder, preprocessing, Keep::Means);
-    let clean = look(plain)?;
     let mut frames = Vec::new();
     for condition in conditions(number) {
         let mut spec = plain.clone();
         spec.conditions.push(condition);
-        let shifted = look(&spec)?;
-        let overlaps = shifted.overlaps.iter().zip(&clean.overlaps);
-        for (frame, (&shifted, &clean)) in shifted.survey.frames.into_iter().zip(overlaps) {
-            if let (Ok(frame), Some(loss)) = (frame, loss(shifted, clean)) {
+        let seen = LabelledSurvey::of(&spec, encoder, preprocessing, Keep::Means)?;
+        for (frame, &agreement) in seen.survey.frames.into_iter().zip(&seen.agreements) {
+            if let (Ok(frame), Some(loss)) = (frame, loss(agreement)) {
                 let means = frame.means;
                 frames.push((condition.kind, LabelledMeans { means, loss }));
             }
@@ -166,12 +159,17 @@ mod tests {
     use crate::model::{ModelOptions, ModelSpec};
 
     #[test]
-    fn losses_are_shares_of_the_clean_iou() {
-        let of = |both, either| Overlap { both, either };
-        assert_eq!(loss(of(3, 10), of(6, 10)), Some(0.5));
-        assert_eq!(loss(of(8, 10), of(6, 10)), Some(0.0));
-        assert_eq!(loss(of(3, 10), of(2, 10)), None);
-        assert_eq!(loss(of(3, 10), of(0, 0)), None);
+    fn a_loss_is_what_f1_lacks() {
+        let of = |found, truth| Agreement {
+            right: found,
+            answer: found,
+            found,
+            truth,
+        };
+        assert_eq!(loss(of(10, 10)), Some(0.0));
+        assert_eq!(loss(of(0, 10)), Some(1.0));
+        assert!((loss(of(5, 10)).unwrap() - 1.0 / 3.0).abs() < 1e-12);
+        assert_eq!(loss(of(0, 0)), None);
     }
 
     #[test]

@@ -14,11 +14,12 @@ use super::sheet::{Sheet, with_interval};
 use crate::cli::args::EvaluateArgs;
 
 /// What the rows mean.
-pub const ABOUT: &str = "A failure is a second whose lane IoU is below half of that of the same second on a plain day. \
+pub const ABOUT: &str = "A failure is a second in which the lane model's F1 within 2 pixels (at a width of 320) is below a \
+    half, but not in the same second on a plain day. \
     It is found if `Gap` is entered between 5 s before and 1 s after its onset. The drives have the plain look and \
     were not used for tuning. Each kind of condition, at severities 1 to 5, grows for 2 s, stays for 8 s and fades for \
     2 s. AUROC and Spearman are over the seconds under a condition; their intervals come from resampling roads. A \
-    drive is benign if it keeps 0.9 of its lane IoU. Every method has its own reference and thresholds from the same \
+    drive is benign if its F1 is at most 0.1 below that on a plain day. Every method has its own reference and thresholds from the same \
     nominal drives. False alarms are counted on other nominal drives; with several forecasts, those of the forecast \
     with the most are given. `lane-risk` is fitted on drives under the same kinds of condition, and `lane-risk, fitted \
     on other kinds` never on the kind that is judged.";
@@ -99,7 +100,7 @@ pub fn sheets(rows: &[Row<LaneFailure>]) -> Vec<Sheet> {
         value.map_or_else(|| "-".to_owned(), |value| with_interval(value, interval, 3))
     };
     let mut ranks = Sheet::new(
-        "Score and loss of lane IoU, second by second".to_owned(),
+        "Score and loss of F1, second by second".to_owned(),
         [
             "method",
             "AUROC, failures",

@@ -1,7 +1,8 @@
 //! Does the gap predict that the lane model fails? Labelled drives under conditions that grow and fade are judged with
 //! every metric and with simpler baselines at the same rates of false alarms.
 //!
-//! A second is a failure if its lane IoU is below half of that of the same second on a plain day. A drive has at most
+//! A second is a failure if the lane model's F1 within the tolerance is below a half in it, but not in the same second on
+//! a plain day. A drive has at most
 //! one event, because the condition grows once. All thresholds come from nominal drives that are not judged, and the
 //! forecast `lane-risk` is also judged under kinds of condition to which it was not fitted.
 
@@ -19,7 +20,7 @@ use crate::calibration::{
     Calibrated, CalibrationError, Domain, DriveScores, LabelledMeans, Target, calibrate,
     drive_scores, is_judging,
 };
-use crate::features::lane::Overlap;
+use crate::features::lane::Agreement;
 use crate::lab::labelled::{LabelledSurvey, loss, training_frames};
 use crate::lab::scene::{Condition, ConditionKind, DriveSpec, RAMP_S};
 use crate::model::encoder::{Encoder, EncoderError};
@@ -49,9 +50,9 @@ const DRIVE_S: f64 = 22.0;
 const BEFORE_S: f64 = 5.0;
 /// to this long after it.
 const AFTER_S: f64 = 1.0;
-/// Loss of lane IoU that is a failure.
+/// Loss of F1 that is a failure.
 const FAILURE: f64 = 0.5;
-/// Largest loss of lane IoU over the whole condition for a benign drive.
+/// Largest loss of F1 over the whole condition, beyond that on a plain day, for a benign drive.
 const BENIGN: f64 = 0.1;
 /// Severity from which on a condition should be found, whether there is a failure or not.
 pub(super) const SEVERE: f32 = 3.0;
@@ -104,7 +105,7 @@ pub(super) struct Judged {
     road: usize,
     pub(super) condition: Condition,
     pub(super) drive: LabelledSurvey,
-    /// Loss of each second; `None` if the lanes are too faint on a plain day.
+    /// Loss of each second; `None` if it is a failure on a plain day too.
     losses: Vec<Option<f64>>,
     /// Whether the condition causes almost no loss.
     benign: bool,
@@ -338,30 +339,34 @@ impl Judged {
         drive: LabelledSurvey,
         clean: &LabelledSurvey,
     ) -> Self {
-        let second =
-            |of: &LabelledSurvey, second: usize| {
-                let frames = of.survey.times.iter().zip(&of.overlaps);
-                pooled(frames.filter_map(|(at, &overlap)| {
-                    (at.as_secs() == second as u64).then_some(overlap)
-                }))
-            };
+        let of_seconds = |of: &LabelledSurvey, wanted: &dyn Fn(f64) -> bool| {
+            let frames = of.survey.times.iter().zip(&of.agreements);
+            let own = frames.filter(|(at, _)| wanted(at.as_secs_f64()));
+            loss(Agreement::pooled(own.map(|(_, &agreement)| agreement)))
+        };
+        let second = |of: &LabelledSurvey, second: usize| {
+            #[allow(clippy::cast_precision_loss)]
+            let whole = second as f64..(second + 1) as f64;
+            of_seconds(of, &|at| whole.contains(&at))
+        };
         // It is a few tens of seconds.
         #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)]
         let seconds = DRIVE_S as usize;
         let losses = (0..seconds)
-            .map(|at| loss(second(&drive, at), second(clean, at)))
+            .map(|at| {
+                let plain = second(clean, at).filter(|&loss| loss <= FAILURE);
+                plain.and(second(&drive, at))
+            })
             .collect();
         let full = |of: &LabelledSurvey| {
-            let frames = of.survey.times.iter().zip(&of.overlaps);
-            pooled(frames.filter_map(|(at, &overlap)| {
-                let full = FULL_S..GONE_S - RAMP_S;
-                full.contains(&at.as_secs_f64()).then_some(overlap)
-            }))
+            let whole = FULL_S..GONE_S - RAMP_S;
+            of_seconds(of, &|at| whole.contains(&at))
         };
+        let more = full(&drive).zip(full(clean)).map(|(of, plain)| of - plain);
         Self {
             road,
             condition,
-            benign: loss(full(&drive), full(clean)).is_some_and(|loss| loss <= BENIGN),
+            benign: more.is_some_and(|more| more <= BENIGN),
             drive,
             losses,
         }
@@ -373,13 +378,6 @@ impl Judged {
         let failed = |loss: &Option<f64>| loss.is_some_and(|loss| loss > FAILURE);
         self.losses.iter().position(failed).map(|at| at as f64)
     }
-}
-
-fn pooled(overlaps: impl Iterator<Item = Overlap>) -> Overlap {
-    overlaps.fold(Overlap::default(), |sum, one| Overlap {
-        both: sum.both + one.both,
-        either: sum.either + one.either,
-    })
 }
 
 /// When a condition begins to grow, seconds.

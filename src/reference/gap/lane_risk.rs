@@ -73,8 +73,8 @@ impl LaneRiskFit {
         })
     }
 
-    /// Learns from a frame's energies, `[energies]`, and what the lane model lost there: 1 - IoU / IoU of the same
-    /// frame on a plain day, 0 to 1.
+    /// Learns from a frame's energies, `[energies]`, and what the lane model lost there, 0 to 1: 1 - F1 within the
+    /// tolerance.
     pub fn add(&mut self, energies: &[f64], loss: f64) {
         energy_levels(energies, self.epsilon, &mut self.levels);
         for (index, &level) in self.levels.iter().enumerate() {
