@@ -162,7 +162,7 @@ fn a_drive_of_pictures_before_a_strict_reference_is_told_what_accepts_it() {
         let name = format!("road/{number}.png");
         picture.save(folder.join(name)).unwrap();
     }
-    let wanted = "calibrate --base built-in --accept ROAD --out my-roads.json";
+    let wanted = "calibrate --base built-in --accept road --out my-roads.json";
     let ran = gapwatch_in(folder, &["replay", "road"]);
     assert!(ran.err.contains(wanted), "{}", ran.err);
     let rendered = gapwatch_in(folder, &["replay", "scene:sim?seed=1&seconds=1"]);

@@ -66,7 +66,12 @@ fn a_desk_passes_and_nothing_is_left_behind() {
 fn what_fails_is_named_with_what_to_do() {
     let folder = tempfile::tempdir().unwrap();
     for (from, to, check, said) in [
-        ("strict = true", "", "reference", "strict = true"),
+        (
+            "strict = true",
+            "warn = [\"lanes\", \"speed\"]",
+            "board",
+            "\"gap\", \"change\" and \"lanes\"",
+        ),
         (
             "strict = true",
             "strict = true\nmodel = \"no.onnx\"",

@@ -79,7 +79,7 @@ fn a_drive_is_shown_at_its_own_pace_with_a_first_and_a_last_word() {
         (last.state, last.reason),
         (AlarmState::Unavailable, Reason::Stopped)
     );
-    assert!(frames.iter().any(|(_, status)| status.score.is_some()));
+    assert!(frames.iter().any(|(_, status)| status.gap.is_some()));
     assert!(frames.last().unwrap().0 >= 2.5);
     assert!(longest_pause(&frames) < LATE);
     let journal = fs::read_to_string(folder.path().join("drive.jsonl")).unwrap();
@@ -288,20 +288,47 @@ fn root_a_full_disk_under_the_log_costs_the_journal_nothing() {
 }
 
 #[test]
-fn a_strict_reference_is_refused_unless_the_board_asks_for_it() {
+fn on_a_road_of_pictures_simulation_alone_warns_of_lanes_and_of_gaps_only_if_the_board_is_strict() {
     let folder = tempfile::tempdir().unwrap();
-    let asks = board("scene:sim?seed=7&seconds=2");
-    let board = asks.replace("strict = true", "strict = false");
-    let done = monitor(folder.path(), &board, &[])
-        .wait_with_output()
-        .unwrap();
-    assert_eq!(done.status.code(), Some(2));
-    let said = String::from_utf8(done.stderr).unwrap();
-    assert!(
-        said.contains("board.toml") && said.contains("strict = true"),
-        "{said}"
-    );
+    std::fs::create_dir(folder.path().join("road")).unwrap();
+    for number in 0..30_u32 {
+        // A striped picture that moves: far from any simulation, and without lanes to lose or to find.
+        let picture = image::RgbImage::from_fn(320, 160, |x, y| {
+            image::Rgb([(8 * (x + number)) as u8, (3 * y) as u8, (x ^ y) as u8])
+        });
+        let name = format!("road/{number:02}.png");
+        picture.save(folder.path().join(name)).unwrap();
+    }
+    let run = |said: &str| {
+        let board = board("road").replace("strict = true", said);
+        let args = ["--journal", "drive.jsonl"];
+        monitor(folder.path(), &board, &args)
+            .wait_with_output()
+            .unwrap()
+    };
+    let refused = run("warn = [\"gap\", \"lanes\"]");
+    assert_eq!(refused.status.code(), Some(2));
+    let said = String::from_utf8(refused.stderr).unwrap();
+    for part in ["board.toml", "strict = true", "--accept ROAD"] {
+        assert!(said.contains(part), "{said}");
+    }
     assert!(!folder.path().join("can.log").exists());
+    for (said, warned, reasons) in [
+        ("rate_hz = 10", "lanes", ["lanes", "none"]),
+        ("strict = true", "gap, change", ["abrupt", "drift"]),
+    ] {
+        let done = run(said);
+        assert!(done.status.success(), "{done:?}");
+        let read = gapwatch::record::journal::read(&folder.path().join("drive.jsonl")).unwrap();
+        assert_eq!(read.about.warn, warned);
+        let settled = read.entries.iter().filter(|entry| entry.t_s > 2.0);
+        let judged: Vec<_> = settled.filter(|entry| entry.gap.is_some()).collect();
+        assert!(judged.len() > 5);
+        for entry in judged {
+            assert!(entry.gap > Some(1.0) && entry.lanes.is_some());
+            assert!(reasons.contains(&entry.reason.as_str()), "{entry:?}");
+        }
+    }
 }
 
 #[test]

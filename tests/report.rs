@@ -32,7 +32,8 @@ fn hostile_journal() -> String {
             )
         });
         format!(
-            r#"{{"t_s":{t},"seq":{t},"state":"{state}","reason":"{reason}","score":{},{likely}"tap_gap":{{"{HOSTILE}":{},"e3":{}}},"tap_similarity":{{"{HOSTILE}":null,"e3":0.5}},"health":"{health}","latency_ms":{t}.25,"tap_score":{{"e3":{},"e2":null}},"later":[1]}}"#,
+            r#"{{"t_s":{t},"seq":{t},"state":"{state}","reason":"{reason}","score":{},"gap":{},{likely}"tap_gap":{{"{HOSTILE}":{},"e3":{}}},"tap_similarity":{{"{HOSTILE}":null,"e3":0.5}},"health":"{health}","latency_ms":{t}.25,"tap_score":{{"e3":{},"e2":null}},"later":[1]}}"#,
+            number(1.0),
             number(1.0),
             number(0.01),
             number(0.02),

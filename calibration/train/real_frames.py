@@ -18,7 +18,9 @@ from PIL import Image
 from evaluation import Predict
 from scenes import Normalisation, SceneError, Size
 
-LINES = Path(__file__).resolve().parent / "real_lanes.json"
+LINES = Path(__file__).resolve().parents[1] / "real_lanes.json"
+# The set of the studies: pictures of one highway.
+SET = "california_highway stills"
 # Half the width of a label, pixels in a picture 320 wide: that of the rendered scenes' labels.
 HALF_WIDTH = 2.0
 
@@ -52,6 +54,8 @@ def real_frames(size: Size) -> RealFrames | None:
         return None
     frames, lanes, judged = [], [], []
     for entry in json.loads(LINES.read_text(encoding="utf-8"))["frames"]:
+        if entry["set"] != SET:
+            continue
         file = Path(field) / entry["image"]
         wanted = (entry["width"], entry["height"])
         try:

@@ -11,6 +11,7 @@ mod field_sets;
 mod lane_failure;
 mod lane_iou;
 mod paper_table;
+mod real_lanes;
 mod results;
 mod sheet;
 mod speed_error;
@@ -95,9 +96,20 @@ pub fn run(args: &EvaluateArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
             log::warn!("cause is left out, because the reference knows no causes");
         }
     }
-    if args.only == Some(EvaluateKey::FieldSets) && args.field.is_none() {
-        bail!("field_sets needs the image sets of other roads; wanted --field DIR");
+    for key in [EvaluateKey::FieldSets, EvaluateKey::RealLanes] {
+        if args.only == Some(key) && args.field.is_none() {
+            bail!(
+                "{} needs the image sets of other roads; wanted --field DIR",
+                key.name()
+            );
+        }
     }
+    let drawn = match &args.field {
+        Some(folder) if wanted(EvaluateKey::RealLanes) => {
+            Some(real_lanes::Drawn::open(folder, args)?)
+        }
+        _ => None,
+    };
     let field = if wanted(EvaluateKey::FieldSets) || wanted(EvaluateKey::PaperTable) {
         Some(Field::open(args)?)
     } else {
@@ -116,7 +128,7 @@ pub fn run(args: &EvaluateArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
     let store = args.out.as_deref().map(Store::open).transpose()?;
     if args.field.is_none() && args.only.is_none() {
         log::warn!(
-            "field_sets and the real images of paper_table are left out, because they need --field DIR"
+            "field_sets, real_lanes and the real images of paper_table are left out, because they need --field DIR"
         );
     }
     let mut results = Results::default();
@@ -155,6 +167,11 @@ pub fn run(args: &EvaluateArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
             }
             (EvaluateKey::FieldSets, _, Some(field)) if field.has_images() => {
                 let rows = field_sets::rows(field, args)?;
+                results.set(key, &rows, &command::made(key, args))?;
+            }
+            (EvaluateKey::RealLanes, ..) => {
+                let Some(drawn) = &drawn else { continue };
+                let rows = real_lanes::rows(drawn, &built_in)?;
                 results.set(key, &rows, &command::made(key, args))?;
             }
             (EvaluateKey::PaperTable, _, Some(field)) => {
@@ -199,6 +216,7 @@ fn page(results: &Results, key: EvaluateKey) -> anyhow::Result<Option<Page>> {
         }
         EvaluateKey::SpeedError => page_of(results, key, speed_error::ABOUT, speed_error::sheets),
         EvaluateKey::FieldSets => page_of(results, key, field_sets::ABOUT, field_sets::sheets),
+        EvaluateKey::RealLanes => page_of(results, key, real_lanes::ABOUT, real_lanes::sheets),
         EvaluateKey::PaperTable => page_of(results, key, paper_table::ABOUT, paper_table::sheets),
     }
 }

@@ -1,7 +1,7 @@
 //! The output of the lane model: its lane mask, how well that fits the truth, and how much of the encoder's energy is
 //! on lanes. This is not used in the car: it measures models, and not roads.
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use crate::features::attention::EnergyMap;
 use crate::model::encoder::FeatureMap;
@@ -69,7 +69,7 @@ impl LaneMask {
 pub const TOLERANCE_320_PX: f64 = 2.0;
 
 /// How well an output agrees with the truth within [`TOLERANCE_320_PX`]: thin lines that lie next to each other agree.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Agreement {
     /// Lane pixels of the output near a lane pixel of the truth.
     pub right: u64,
@@ -177,7 +177,7 @@ fn ratio(part: u64, whole: u64) -> f64 {
 }
 
 /// Number of lane pixels that two masks have in common, and that at least one of them has.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Overlap {
     /// In both masks.
     pub both: u64,
@@ -186,6 +186,20 @@ pub struct Overlap {
 }
 
 impl Overlap {
+    /// The overlap of an output with the truth of the same size, in rows `from..to`.
+    pub fn of_rows(answer: &LaneMask, truth: &LaneMask, from: usize, to: usize) -> Self {
+        let rows = |mask: &LaneMask| {
+            let mut lane = vec![false; mask.lane.len()];
+            let own = mask.width * from.min(mask.height)..mask.width * to.min(mask.height);
+            lane[own.clone()].copy_from_slice(&mask.lane[own]);
+            LaneMask {
+                lane,
+                ..mask.clone()
+            }
+        };
+        Self::of(Some(&rows(answer)), &rows(truth))
+    }
+
     /// The overlap of an output with the truth of the same size; no output counts as one without lane.
     pub fn of(answer: Option<&LaneMask>, truth: &LaneMask) -> Self {
         let answer = answer.map_or(&[][..], |mask| &mask.lane);
@@ -270,7 +284,10 @@ mod tests {
         };
         let truth = column(100);
         let f1 = |x| Agreement::of(Some(&column(x)), &truth).f1();
-        assert_eq!((f1(100), f1(98), f1(102)), (Some(1.0), Some(1.0), Some(1.0)));
+        assert_eq!(
+            (f1(100), f1(98), f1(102)),
+            (Some(1.0), Some(1.0), Some(1.0))
+        );
         assert_eq!((f1(97), f1(103)), (Some(0.0), Some(0.0)));
         assert_eq!(Agreement::of(None, &truth).f1(), Some(0.0));
         let empty = LaneMask {
@@ -280,7 +297,9 @@ mod tests {
         assert_eq!(Agreement::of(Some(&truth), &empty).f1(), None);
         // One of two lines is found, and nothing else is marked.
         let both = LaneMask {
-            lane: (0..4 * 320).map(|pixel| [100, 200].contains(&(pixel % 320))).collect(),
+            lane: (0..4 * 320)
+                .map(|pixel| [100, 200].contains(&(pixel % 320)))
+                .collect(),
             ..truth.clone()
         };
         let half = Agreement::of(Some(&truth), &both);

@@ -13,6 +13,7 @@ pub mod field_sets;
 pub mod lane_failure;
 pub mod paper_table;
 mod ranking;
+pub mod real_lanes;
 mod resampling;
 pub mod scripts;
 pub mod separation;

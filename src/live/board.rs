@@ -261,7 +261,14 @@ impl Board {
 impl MonitorBoard {
     /// `[monitor]`; defaults if it is missing.
     fn of(file: &Keys<'_>, beside: impl Fn(PathBuf) -> PathBuf) -> Result<Self, Wrong> {
-        let known = ["reference", "model", "strict", "warn", "rate_hz", "idle_rate_hz"];
+        let known = [
+            "reference",
+            "model",
+            "strict",
+            "warn",
+            "rate_hz",
+            "idle_rate_hz",
+        ];
         let Some(table) = file.table("monitor", &known)? else {
             return Ok(Self {
                 reference: None,

@@ -81,8 +81,7 @@ impl Bus {
         latency: Duration,
     ) -> Result<(), SinkError> {
         if verdict.sequence.is_some() {
-            self.health
-                .note(verdict.at, latency, verdict.gap.is_some());
+            self.health.note(verdict.at, latency, verdict.gap.is_some());
         }
         if verdict.gap.is_some() {
             self.judged_at = Some(verdict.at);
@@ -351,7 +350,7 @@ pub(super) mod tests {
             sequence: Some(at),
             state: AlarmState::Suspect,
             reason: Reason::Abrupt,
-            score: Some(1.5),
+            gap: Some(1.5),
             change: Some(0.5),
             lanes: Some(0.25),
             cause: Some(LikelyCause {
@@ -390,7 +389,7 @@ pub(super) mod tests {
             reason: Reason::Abrupt,
             gap_stored: true,
             cause: Some(Cause::Glare),
-            score: Some(1.5),
+            gap: Some(1.5),
             change: Some(0.5),
             lanes: Some(0.25),
             fault_detection_counter: 9,
@@ -402,7 +401,7 @@ pub(super) mod tests {
             reason: Reason::Stale,
             gap_stored: false,
             cause: None,
-            score: None,
+            gap: None,
             change: None,
             lanes: None,
             fault_detection_counter: 0,

@@ -119,7 +119,7 @@ mod tests {
 
     #[test]
     fn a_request_to_clear_is_answered_and_refused_in_a_gap() {
-        let mut judging = Judging::new(PERIODS);
+        let mut judging = Judging::new(PERIODS, WarnOn::default());
         assert_eq!(judging.obey(Duration::ZERO, DRIVES), None);
         assert_eq!(
             judging.obey(Duration::ZERO, CLEAR),
@@ -136,7 +136,7 @@ mod tests {
 
     #[test]
     fn nobody_looks_while_the_car_is_parked_and_then_at_full_rate() {
-        let mut judging = Judging::new(PERIODS);
+        let mut judging = Judging::new(PERIODS, WarnOn::default());
         assert_eq!((judging.looks(), judging.period()), (true, PERIODS.full));
         judging.obey(Duration::ZERO, PARKED);
         assert_eq!((judging.looks(), judging.period()), (false, PERIODS.idle));
@@ -146,7 +146,7 @@ mod tests {
 
     #[test]
     fn a_clear_road_is_looked_at_slowly_until_something_is_seen_or_nothing_comes() {
-        let mut judging = Judging::new(PERIODS);
+        let mut judging = Judging::new(PERIODS, WarnOn::default());
         look(&mut judging, 0, 4_900, 0.1);
         assert_eq!(judging.period(), PERIODS.full);
         look(&mut judging, 5_000, 5_000, 0.1);
@@ -171,7 +171,7 @@ mod tests {
 
     #[test]
     fn a_frame_after_a_silence_tells_of_that_first() {
-        let mut judging = Judging::new(PERIODS);
+        let mut judging = Judging::new(PERIODS, WarnOn::default());
         let (silence, first) = judging.frame(seen(0, 0.1));
         assert_eq!((silence, first.sequence), (None, Some(0)));
         assert_eq!((first.state, first.score), (AlarmState::Ok, Some(0.1)));
@@ -185,7 +185,7 @@ mod tests {
 
     #[test]
     fn to_be_parked_is_no_silence() {
-        let mut judging = Judging::new(PERIODS);
+        let mut judging = Judging::new(PERIODS, WarnOn::default());
         judging.frame(seen(0, 0.1));
         judging.obey(100 * MS, PARKED);
         assert_eq!(judging.no_frame(9_000 * MS), None);

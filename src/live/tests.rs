@@ -36,6 +36,7 @@ use crate::monitor::alarm::{AlarmState, Reason};
 use crate::monitor::detector::Evidence;
 use crate::monitor::judge::{Sighting, Verdict};
 use crate::monitor::pipeline::Look;
+use crate::monitor::warn::WarnOn;
 use crate::record::events::{EventRecorder, Message};
 use crate::record::journal::{self, About, Journal};
 use crate::reference::Periods;
@@ -135,7 +136,7 @@ impl World {
         Self {
             dice,
             now: Duration::ZERO,
-            judging: Judging::new(PERIODS),
+            judging: Judging::new(PERIODS, WarnOn::default()),
             teller: Teller::new(outputs, PERIODS.idle, 1_000 * MS, service),
             wire,
             disk,

@@ -290,7 +290,10 @@ mod tests {
             not_asked.judge(lost(number));
         }
         let found = asked.judge(lost(30));
-        assert_eq!((found.state, found.reason), (AlarmState::Gap, Reason::Lanes));
+        assert_eq!(
+            (found.state, found.reason),
+            (AlarmState::Gap, Reason::Lanes)
+        );
         assert_eq!((found.gap, found.score), (Some(0.1), Some(1.6)));
         let calm = not_asked.judge(lost(30));
         assert_eq!((calm.state, calm.score), (AlarmState::Ok, Some(0.1)));

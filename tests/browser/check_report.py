@@ -86,7 +86,7 @@ def alarms_of(lines):
                 f"{begin:.1f} s",
                 f"{end:.1f} s" + (" (end)" if all(map(is_end, lines[place:])) else ""),
                 f"{end - begin:.1f} s",
-                "–" if worst is None else f"{worst['score']:.2f}",
+                largest(stretch, "gap", "{:.2f}".format),
                 largest(stretch, "change", "{:.2f}".format),
                 largest(stretch, "lanes", lambda share: f"{100 * share:.0f} %"),
                 cause_of(inside),
@@ -120,7 +120,7 @@ def check_numbers(page, lines):
 
     unjudged = {}
     for line in lines:
-        if line["score"] is None and not is_end(line):
+        if line["gap"] is None and not is_end(line):
             why = line["reason"] if line["health"] == "ok" else line["health"]
             unjudged[why] = unjudged.get(why, 0) + 1
     said = [item.text for item in page.find_elements(By.CSS_SELECTOR, "#unjudged li")]
@@ -128,7 +128,7 @@ def check_numbers(page, lines):
 
     drawn = json.loads(page.find_element(By.ID, "data").get_attribute("textContent"))
     assert drawn["t"] == [line["t_s"] for line in lines]
-    for key in ("score", "change", "lanes"):
+    for key in ("gap", "change", "lanes"):
         assert drawn[key] == [line.get(key) for line in lines], key
     assert drawn["probability"] == [line.get("cause_probability") for line in lines]
     assert [k if k is None else drawn["causes"][k] for k in drawn["cause"]] == [line.get("cause") for line in lines]

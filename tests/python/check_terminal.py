@@ -16,7 +16,7 @@ import pyte
 DRIVE = "scene:sim?seed=7&seconds=4&size=160x80&condition=noise:5@2-4"
 BOARD = f'[camera]\nsource = "{DRIVE}"\n[can]\nsink = "none"\n[monitor]\nstrict = true\n'
 COLOUR = re.compile(r"\x1b\[[0-9;]*3[1-6]m|\x1b\[3[1-6]m")
-LIVE = re.compile(r"(Init|Ok|Suspect|Gap) +(score +-?\d+\.\d\d [█·]{5}\|[█·]{5}|no score +)(?: +lanes lost \d+ %)?(?: +[\w-]+ \(\d+ %\))? +(\d+|–) frames/s +\d+ ms old")
+LIVE = re.compile(r"(Init|Ok|Suspect|Gap) +([█·]{5}\|[█·]{5} gap +-?\d+\.\d\d|no gap +)(?: +change +-?\d+\.\d\d)?(?: +lanes lost \d+ %)?(?: +[\w-]+ \(\d+ %\))? +(\d+|–) frames/s +\d+ ms old")
 
 
 def run(args, folder, columns=120, **more):
@@ -69,7 +69,7 @@ def check_replay(gapwatch, folder):
     # In the end only lines stay, whole: no rest of the live line.
     last = screens[-1][1]
     assert re.match(r" +0\.0 s  Init +starting$", last[0]), last
-    assert all(re.match(r" +\d+\.\d s  \w+ +(starting|score -?\d+\.\d\d  lanes lost \d+ %(  [\w-]+, likely cause: [\w-]+ \(\d+ %\))?)$", line) for line in last[:-1]), last
+    assert all(re.match(r" +\d+\.\d s  \w+ +(starting|gap -?\d+\.\d\d(  change -?\d+\.\d\d)?  lanes lost \d+ %(  [\w-]+(, likely cause: [\w-]+ \(\d+ %\))?)?)$", line) for line in last[:-1]), last
     assert last[-1].startswith("40 frames, 3.9 s of drive"), last
 
     _, plain, screens = run(args, folder, NO_COLOR="1")

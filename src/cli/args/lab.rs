@@ -93,7 +93,8 @@ pub struct InspectArgs {
 /// domain_detection: how many drives enter Gap within 2 s of an event, at 1 and 0.1 false alarms an hour. false_alarms:
 /// entries into Gap on nominal drives, at thresholds made for 10, 1 and 0.1 false alarms an hour. cause: which cause is told
 /// of each kind of condition. These three judge one reference. field_sets: AUROC, and recall at 5 % false positives, of every metric on windows of 1, 5 and 10 images of
-/// other roads and simulators. paper_table: similarity of whole image sets, as in the paper. With --out, the result of
+/// other roads and simulators. real_lanes: precision, recall and F1 of lane models on real pictures with drawn lanes, and
+/// how well the forecast of lost lanes foretells them. paper_table: similarity of whole image sets, as in the paper. With --out, the result of
 /// each key is kept as soon as it is done.
 #[derive(Debug, Args)]
 #[command(
@@ -135,7 +136,7 @@ pub struct EvaluateArgs {
     /// Number of scenes for each look, condition and severity
     #[arg(long, value_name = "N", conflicts_with = "quick", value_parser = whole::<u32>(1..=100_000))]
     pub scenes: Option<u32>,
-    /// Folder of image sets for field_sets and paper_table; calibration/README.md lists what it holds
+    /// Folder of image sets for field_sets, real_lanes and paper_table; calibration/README.md lists what it holds
     #[arg(long, value_name = "DIR")]
     pub field: Option<PathBuf>,
     /// Format of the result
@@ -197,6 +198,10 @@ pub enum EvaluateKey {
     /// How well each metric distinguishes image sets of other roads from those of a simulation; needs --field
     #[value(name = "field_sets")]
     FieldSets,
+    /// F1 of lane models on real pictures with drawn lanes, and how well the forecast foretells what they lose; needs
+    /// --field
+    #[value(name = "real_lanes")]
+    RealLanes,
     /// Similarity of adapted simulation, plain simulation and noise to real images and to simulation, as in the paper
     #[value(name = "paper_table")]
     PaperTable,

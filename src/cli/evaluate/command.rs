@@ -24,6 +24,7 @@ pub fn made(key: EvaluateKey, args: &EvaluateArgs) -> Made {
         EvaluateKey::LaneFailure => lane_failure::seeds(args.quick),
         EvaluateKey::SpeedError => speed_error::seeds(args.quick),
         EvaluateKey::FieldSets => field_sets::seeds(args.quick),
+        EvaluateKey::RealLanes => "none".to_owned(),
         EvaluateKey::PaperTable => paper_table::seeds(args.quick),
     };
     Made {
@@ -48,16 +49,23 @@ fn command(key: EvaluateKey, args: &EvaluateArgs) -> String {
         EvaluateKey::DomainDetection | EvaluateKey::Cause => number("drives", args.drives),
         EvaluateKey::FalseAlarms => number("hours", args.hours),
         EvaluateKey::LaneFailure | EvaluateKey::SpeedError => None,
-        EvaluateKey::FieldSets => Some(FIELD.to_owned()),
+        EvaluateKey::FieldSets | EvaluateKey::RealLanes => Some(FIELD.to_owned()),
         EvaluateKey::PaperTable => args.field.as_ref().map(|_| FIELD.to_owned()),
     });
     if matches!(
         key,
+        EvaluateKey::DomainDetection
+            | EvaluateKey::FalseAlarms
+            | EvaluateKey::Cause
+            | EvaluateKey::RealLanes
+    ) && let Some(path) = &args.reference
+    {
+        words.push(format!("--reference {}", portable(path)));
+    }
+    if matches!(
+        key,
         EvaluateKey::DomainDetection | EvaluateKey::FalseAlarms | EvaluateKey::Cause
     ) {
-        if let Some(path) = &args.reference {
-            words.push(format!("--reference {}", portable(path)));
-        }
         if key == EvaluateKey::DomainDetection && !args.also.is_empty() {
             let also: Vec<String> = args.also.iter().map(|path| portable(path)).collect();
             words.push(format!("--also {}", also.join(" ")));

@@ -382,8 +382,9 @@ mod tests {
             change: score.map(|s| s - 0.25),
             lanes: score.map(|s| s / 10.0),
             cause: None,
-            gap: taps.map(|(tap, _)| (tap.to_owned(), score)).into(),
-            similarity: BTreeMap::new(),
+            gap: score,
+            tap_gap: taps.map(|(tap, _)| (tap.to_owned(), score)).into(),
+            tap_similarity: BTreeMap::new(),
             tap_score: taps
                 .map(|(tap, share)| (tap.to_owned(), score.map(|s| s * share)))
                 .into(),
@@ -524,7 +525,7 @@ mod tests {
         let mut bad = entry(0.0, AlarmState::Unavailable, None);
         bad.reason = hostile.to_owned();
         bad.health = hostile.to_owned();
-        bad.gap = [(hostile.to_owned(), None)].into();
+        bad.tap_gap = [(hostile.to_owned(), None)].into();
         bad.tap_score = [(hostile.to_owned(), Some(1.0))].into();
         let about = About {
             source: hostile.to_owned(),

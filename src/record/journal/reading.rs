@@ -412,7 +412,13 @@ mod tests {
         assert_eq!(entries.len(), verdicts.len());
         for (entry, verdict) in entries.iter().zip(&verdicts) {
             assert_eq!(
-                (entry.score, entry.gap, entry.change, entry.lanes, entry.cause),
+                (
+                    entry.score,
+                    entry.gap,
+                    entry.change,
+                    entry.lanes,
+                    entry.cause
+                ),
                 (
                     verdict.score,
                     verdict.gap,

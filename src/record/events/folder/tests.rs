@@ -32,6 +32,7 @@ fn event(t_s: u32) -> Event {
         state: "Gap".to_owned(),
         reason: "abrupt".to_owned(),
         score: Some(2.5),
+        gap: None,
         change: Some(0.5),
         lanes: None,
         cause: Some(Cause::Fog),
