@@ -306,7 +306,7 @@ fn folders_that_cannot_be_written_or_read_are_refused() {
     }
     assert_eq!(files(folder.path()), before);
     let line = r#"{"t_s":1,"captured_s":1,"seq":1,"state":"Gap","reason":"abrupt","score":2.5,"gap":2.5,"health":"ok","latency_ms":1}"#;
-    let journal = format!("{{\"gapwatch_journal\":3}}\n{line}\n");
+    let journal = format!("{{\"gapwatch_journal\":4}}\n{line}\n");
     fs::write(folder.path().join("j"), journal).unwrap();
     let event = folder.path().join("seen/000001");
     fs::create_dir_all(&event).unwrap();

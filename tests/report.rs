@@ -157,7 +157,7 @@ fn what_is_no_journal_is_refused_and_leaves_nothing_behind() {
         (
             "old",
             "r.html",
-            "journal old: found version 1; wanted version 3",
+            "journal old: found version 1; wanted version 4",
         ),
         ("picture", "r.html", "journal picture, line 1"),
         ("good", "no/such/r.html", "cannot write no/such/r.html"),

@@ -104,13 +104,12 @@ impl Live {
 fn line(verdict: &Verdict, rate_hz: Option<f64>, age: Duration) -> String {
     let state = coloured(verdict.state, format!("{:<11}", verdict.state.name()));
     let gap = match verdict.gap {
-        Some(gap) => format!("gap {:>6.2}", gap + 0.0),
-        None => "no gap    ".to_owned(),
+        Some(gap) => format!("gap {:>5.2}", gap + 0.0),
+        None => "no gap   ".to_owned(),
     };
-    let change = match verdict.change {
-        Some(change) => format!("  change {:>5.2}", change + 0.0),
-        None => " ".repeat(14),
-    };
+    let change = verdict.change.map_or_else(String::new, |change| {
+        format!("  change {:>5.2}", change + 0.0)
+    });
     let bar = verdict.score.map_or_else(|| " ".repeat(BAR), score_bar);
     let cause = cause_of_evidence(verdict);
     let cause = cause.map_or_else(String::new, |cause| format!("  {cause}"));

@@ -1,8 +1,8 @@
-//! Journal, version 3: one JSON object a line. The first line says what the run was made with, and when. Each other
+//! Journal, version 4: one JSON object a line. The first line says what the run was made with, and when. Each other
 //! line says what was known after a frame, or when no frame came.
 //!
 //! ```text
-//! {"gapwatch_journal":3,"began":{"utc":…,"is_set":true,"monotonic_s":…},"about":{…}}
+//! {"gapwatch_journal":4,"began":{"utc":…,"is_set":true,"monotonic_s":…},"about":{…}}
 //! {"t_s":0.105,"captured_s":0.1,"seq":1,"state":"Ok",…}
 //! ```
 //!

@@ -325,7 +325,7 @@ fn journals() -> Target {
             n / 10
         )
     };
-    let first = "{\"gapwatch_journal\":3,\"began\":{\"utc\":\"\",\"is_set\":true,\"monotonic_s\":7.5},\"about\":{\"source\":\"s\"}}\n";
+    let first = "{\"gapwatch_journal\":4,\"began\":{\"utc\":\"\",\"is_set\":true,\"monotonic_s\":7.5},\"about\":{\"source\":\"s\"}}\n";
     let lines = line(0, "Init", "null") + &line(1, "Ok", "0.5") + &line(2, "Gap", "7.25");
     let seed = first.to_owned() + &lines;
     file("drive.jsonl", vec![seed.into_bytes()], |path| {

@@ -45,7 +45,7 @@ pub fn ran(output: Output) -> Ran {
 pub fn journal_lines(path: &Path) -> Vec<String> {
     let text = fs::read_to_string(path).unwrap();
     let (first, rest) = text.split_once('\n').unwrap();
-    assert!(first.starts_with("{\"gapwatch_journal\":3,"), "{first}");
+    assert!(first.starts_with("{\"gapwatch_journal\":4,"), "{first}");
     rest.lines().map(str::to_owned).collect()
 }
 

@@ -96,14 +96,14 @@ fn health_has_the_bytes_computed_by_hand() {
 #[test]
 fn version_has_the_bytes_computed_by_hand() {
     // The first number of the program's version in the high nibble; the reference in the order of its hash.
-    let bytes = [0, 0x30, 2, 0xC3, 0x01, 0x02, 0xFE, 14];
+    let bytes = [0, 0x30, 3, 0xC3, 0x01, 0x02, 0xFE, 14];
     assert_eq!(version().to_bytes(), bytes);
     assert_eq!(GapVersion::from_bytes(&bytes), Ok(version()));
     let later = GapVersion {
         program: [16, 255],
         ..version()
     };
-    assert_eq!(later.to_bytes()[1..3], [0xF0, 2]);
+    assert_eq!(later.to_bytes()[1..3], [0xF0, 3]);
     assert_eq!(later.to_bytes()[7], 255);
 }
 
@@ -111,7 +111,7 @@ fn version_has_the_bytes_computed_by_hand() {
 fn the_version_is_that_of_the_dbc_and_any_other_is_refused() {
     let dbc = include_str!("../gapwatch.dbc");
     assert!(dbc.starts_with(&format!("VERSION \"{DBC_VERSION}\"\n")));
-    for other in [0, 1, 3, 255] {
+    for other in [0, 1, 2, 4, 255] {
         let mut bytes = version().to_bytes();
         bytes[2] = other;
         let refused = GapVersion::from_bytes(&bytes).unwrap_err();
@@ -221,7 +221,7 @@ fn codes_without_a_meaning_are_refused() {
         let refused = with_byte_2(code << 4).unwrap_err();
         assert_eq!((refused.signal, refused.code), ("Cause", code));
     }
-    for code in [16, 254, 255] {
+    for code in [17, 254, 255] {
         let refused = GapStatus::from_bytes(&[0, 0, 0, code, 0, 0, 0, 0]).unwrap_err();
         assert_eq!((refused.signal, refused.code), ("Reason", code));
     }

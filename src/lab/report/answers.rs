@@ -18,7 +18,7 @@ pub fn answers(report: &Report) -> Markup {
     html! {
         section {
             h2 { "Three answers" }
-            table #answers {
+            div.wide { table #answers {
                 (head(&[
                     Words("Question"), Numbers("Median"), Numbers("Largest"), Numbers("Beyond its threshold"),
                     Words("Raises the warning"), Words("What to do"),
@@ -38,7 +38,7 @@ pub fn answers(report: &Report) -> Markup {
                         }
                     }
                 }
-            }
+            } }
         }
     }
 }

@@ -116,6 +116,7 @@ fn verdict(at: u64, state: AlarmState, reason: Reason) -> Verdict {
 fn ok(at: u64) -> Verdict {
     Verdict {
         score: Some(0.1),
+        gap: Some(0.1),
         ..verdict(at, Fine, Reason::None)
     }
 }
@@ -123,6 +124,7 @@ fn ok(at: u64) -> Verdict {
 fn gap(at: u64) -> Verdict {
     Verdict {
         score: Some(3.0),
+        gap: Some(3.0),
         fault_detection_counter: 127,
         gap_stored: true,
         ..verdict(at, Gap, Reason::Abrupt)
@@ -251,6 +253,7 @@ fn a_verdict_that_comes_late_is_lagging_and_no_silence() {
     rig.tick(600, [word(ok(100))]).unwrap();
     let late = Verdict {
         score: None,
+        gap: None,
         undefined: Some(Undefined::Late(ms(500))),
         ..verdict(100, Unavailable, Reason::Lagging)
     };
@@ -496,6 +499,7 @@ fn a_late_verdict_is_lagging_whatever_it_says() {
             sequence: Some(7),
             state,
             score: Some(0.1),
+            gap: Some(0.1),
             window_fill: Some(0.5),
             fault_detection_counter: 9,
             gap_stored: true,
@@ -508,6 +512,7 @@ fn a_late_verdict_is_lagging_whatever_it_says() {
             reason: Reason::Lagging,
             undefined: Some(Undefined::Late(LATE)),
             score: None,
+            gap: None,
             ..verdict
         };
         assert_eq!(late, wanted);

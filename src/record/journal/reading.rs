@@ -467,13 +467,13 @@ mod tests {
     fn a_journal_of_another_version_is_refused_with_what_would_do() {
         for (text, found) in [
             (format!("{LINE}\n"), "found version 1;"),
-            (FIRST.replace(":3,", ":2,") + "\n", "found version 2;"),
-            (FIRST.replace(":3,", ":4,") + "\n", "found version 4;"),
+            (FIRST.replace(":4,", ":2,") + "\n", "found version 2;"),
+            (FIRST.replace(":4,", ":3,") + "\n", "found version 3;"),
         ] {
             let said = reading(&text).unwrap_err();
             assert!(said.contains(found) && said.contains("again"), "{said}");
             assert!(
-                said.contains("wanted version 3") && !said.contains('\n'),
+                said.contains("wanted version 4") && !said.contains('\n'),
                 "{said}"
             );
         }
@@ -487,8 +487,8 @@ mod tests {
             (String::new(), ["found no line", "wanted at least one"]),
             ("{}\n".to_owned(), ["line 1", "the first line of a journal"]),
             (
-                FIRST.replace(":3,", ":\"3\",") + "\n",
-                ["line 1: found gapwatch_journal", "wanted 3"],
+                FIRST.replace(":4,", ":\"4\",") + "\n",
+                ["line 1: found gapwatch_journal", "wanted 4"],
             ),
             (
                 FIRST.replace("{\"source\":\"s\"}", "7") + "\n",

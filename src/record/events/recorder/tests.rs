@@ -30,6 +30,7 @@ fn offer(recorder: &mut EventRecorder, tenth: u64, state: AlarmState) {
         state,
         reason: Reason::None,
         score: Some(1.5),
+        gap: Some(1.5),
         change: Some(0.5),
         lanes: Some(0.25),
         cause: Some(LikelyCause {
