@@ -107,7 +107,16 @@ fn verdicts_lie_beside_the_images_and_are_the_journal_s() {
     assert_eq!(about.metadata["source"], drive);
 
     // What was written can be looked at again; times and numbers stay what they were.
-    let again = ["replay", "a.mcap", "--journal", "k", "--mcap", "b.mcap"];
+    let again = [
+        "replay",
+        "a.mcap",
+        "--warn",
+        "gap,change",
+        "--journal",
+        "k",
+        "--mcap",
+        "b.mcap",
+    ];
     gapwatch_in(folder.path(), &again).ok();
     let again = read("k");
     assert_eq!(again.len(), lines.len());

@@ -320,8 +320,8 @@ fn source_names() -> Target {
 fn journals() -> Target {
     let line = |n: u32, state: &str, score: &str| {
         format!(
-            "{{\"t_s\":{}.1,\"seq\":{n},\"state\":\"{state}\",\"reason\":\"\",\"score\":{score},\"change\":{score},\"lanes\":0.25,\"cause\":\"fog\",\"cause_probability\":0.5,\"gap\":{{\"e2\":0.5}},\
-             \"similarity\":{{\"e2\":null}},\"health\":\"ok\",\"latency_ms\":5.5}}\n",
+            "{{\"t_s\":{}.1,\"seq\":{n},\"state\":\"{state}\",\"reason\":\"\",\"score\":{score},\"change\":{score},\"lanes\":0.25,\"cause\":\"fog\",\"cause_probability\":0.5,\"gap\":{score},\"tap_gap\":{{\"e2\":0.5}},\
+             \"tap_similarity\":{{\"e2\":null}},\"health\":\"ok\",\"latency_ms\":5.5}}\n",
             n / 10
         )
     };
