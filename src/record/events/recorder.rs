@@ -140,7 +140,7 @@ impl EventRecorder {
         let before = std::mem::replace(&mut self.state, verdict.state);
         let alarming = |state| matches!(state, AlarmState::Suspect | AlarmState::Gap);
         let edge = before != verdict.state
-            && (verdict.state == AlarmState::Gap
+            && (matches!(verdict.state, AlarmState::Gap | AlarmState::SensorFault)
                 || (verdict.state == AlarmState::Suspect && !alarming(before)));
         let due = self
             .handed_at

@@ -107,6 +107,40 @@ fn an_event_holds_the_frames_around_its_beginning_and_where_the_encoder_looked()
 }
 
 #[test]
+fn a_fault_of_the_camera_is_an_event_of_the_pictures_that_were_no_road() {
+    let folder = tempfile::tempdir().unwrap();
+    let recorder = EventRecorder::start(folder.path(), Quota::default(), &[]).unwrap();
+    let mut recorder = recorder.patient();
+    for tenth in 0..100 {
+        let fault = (50..60).contains(&tenth);
+        let frame = Frame {
+            sequence: tenth,
+            captured_at: Duration::from_millis(100 * tenth),
+            picture: Ok(picture().into()),
+        };
+        let verdict = Verdict {
+            state: if fault {
+                AlarmState::SensorFault
+            } else {
+                AlarmState::Ok
+            },
+            reason: if fault { Reason::Covered } else { Reason::None },
+            gap: (!fault).then_some(0.1),
+            ..Verdict::nothing_yet()
+        };
+        recorder.offer(frame, &verdict, || panic!("nothing was looked at"));
+    }
+    assert_eq!(recorder.finish().events, 1);
+    let events = read(folder.path()).unwrap();
+    let moment = &events[0].1.moments[events[0].1.edge];
+    assert_eq!(
+        (moment.seq, moment.state.as_str(), moment.reason.as_str()),
+        (50, "SensorFault", "covered")
+    );
+    assert!(moment.gap.is_none() && moment.heat.is_empty());
+}
+
+#[test]
 fn what_was_long_before_an_alarm_is_not_of_its_event() {
     let folder = tempfile::tempdir().unwrap();
     let mut recorder = EventRecorder::start(folder.path(), Quota::default(), &[])
