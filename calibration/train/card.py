@@ -40,6 +40,8 @@ class Card:
     batch: int
     learning_rate: float
     jitter: float
+    varied: float
+    variation: float
     sad_weight: float
     share_weights: bool
     lane_logit: float
@@ -77,6 +79,11 @@ class Card:
             f"on, weight {self.sad_weight:g}, in the second half of training"
             if self.sad_weight > 0
             else "off"
+        )
+        varied = (
+            f";\n  {self.varied * 100:g} % of the scenes varied towards real roads (`variation.py`, by {self.variation:g})"
+            if self.varied > 0
+            else ""
         )
         sets = "\n".join(
             f"| {of.use} | {of.seed} | {of.count} | `{of.sha256}` |" for of in self.scene_sets
@@ -151,7 +158,7 @@ median peak energy to {PEAK_ENERGY:g}; test scenes were used once, for the table
 - From {start}
 - Seed {self.seed}, {self.epochs} epochs, {self.steps} steps of {self.batch} scenes, AdamW, peak
   learning rate {self.learning_rate:g}, cosine to 0
-- Augmentation: mirror, brightness, contrast and colour within {self.jitter * 100:g} %
+- Augmentation: mirror, brightness, contrast and colour within {self.jitter * 100:g} %{varied}
 - Self-attention distillation: {sad}
 - {self.train_seconds / 60:.1f} minutes on {self.machine}
 

@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 from PIL import Image
 from torch import Tensor
 
+from variation import Variation
+
 # Written last into a rendered set; a set without it was cut short and is rendered again.
 NOTE = "rendered.json"
 
@@ -204,14 +206,15 @@ def training_batches(
     normalisation: Normalisation,
     size: int,
     jitter: float,
+    variation: Variation,
     dice: np.random.Generator,
     device: torch.device,
 ) -> Iterator[Batch]:
     """One pass over `scenes` in random order, batches of `size`, the odd rest left out.
 
-    Half of the scenes are mirrored. Brightness, contrast and the balance of colours move by up to
-    `jitter` (0.1 = 10 %). No fog, night, blur or noise: they are what gapwatch is to detect, so
-    the network must not be taught to ignore them.
+    Half of the scenes are mirrored, and a share is varied (`variation.py`). Brightness, contrast and
+    the balance of colours move by up to `jitter` (0.1 = 10 %). No fog, night, rain, dirt or glare:
+    they are what gapwatch is to detect, so the network must not be taught to ignore them.
     """
     mean = np.asarray(normalisation.mean, np.float32)
     std = np.asarray(normalisation.std, np.float32)
@@ -231,8 +234,11 @@ def training_batches(
         scale = torch.from_numpy((gain / (255.0 * std)).astype(np.float32))
         offset = torch.from_numpy(((shift - mean) / std).astype(np.float32))
         image = torch.from_numpy(frames).to(device).permute(0, 3, 1, 2).float()
+        lane = torch.from_numpy(masks).to(device).unsqueeze(1).float()
+        varied, lane = variation.apply(image / 255.0, lane, dice)
+        image = varied * 255.0
         image.mul_(scale.to(device)[:, :, None, None]).add_(offset.to(device)[:, :, None, None])
-        yield Batch(image, torch.from_numpy(masks).to(device).unsqueeze(1).float())
+        yield Batch(image, lane)
 
 
 def _note(folder: Path) -> object:

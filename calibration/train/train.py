@@ -42,6 +42,7 @@ from scenes import (
     sha256_of,
     training_batches,
 )
+from variation import Variation
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 # Seeds of the rendered sets. Nothing else in gapwatch may use the first one and call it unseen.
@@ -108,6 +109,9 @@ def parse_arguments() -> argparse.Namespace:
     parser.add_argument("--share-weights", action=argparse.BooleanOptionalAction, default=None,
                         help="one set of convolutions for E2 to E4; default: enet-sad yes, lite no")
     parser.add_argument("--jitter", type=float, default=0.1, help="of brightness and colour")
+    parser.add_argument("--varied", type=float, default=0.0,
+                        help="share of the scenes that are varied towards real roads; 0 = none")
+    parser.add_argument("--variation", type=float, default=1.0, help="how much they are varied")
     parser.add_argument("--seed", type=int, default=1, help="of weights, order and augmentation")
     parser.add_argument("--threads", type=count_argument, default=os.cpu_count() or 1,
                         help="CPU threads")
@@ -228,6 +232,8 @@ def run(args: argparse.Namespace) -> None:
         batch=min(args.batch, len(training)),
         learning_rate=args.learning_rate,
         jitter=args.jitter,
+        varied=args.varied,
+        variation=args.variation,
         sad_weight=args.sad_weight if args.sad else 0.0,
         share_weights=network.share_weights,
         lane_logit=lane_logit,
@@ -284,6 +290,8 @@ def check_settings(args: argparse.Namespace) -> None:
         raise SettingsError(f"--init {args.init}: no such file; its own training comes first")
     if args.minutes is not None and not args.minutes > 0:
         raise SettingsError("--minutes must be above 0")
+    if not 0 <= args.varied <= 1 or not 0 <= args.variation <= 2:
+        raise SettingsError("--varied is a share, 0 to 1, and --variation a factor, 0 to 2")
     if not 0 <= args.jitter < 1:
         raise SettingsError("--jitter is a share, 0 to below 1")
     if args.device == "cuda" and not torch.cuda.is_available():
@@ -347,7 +355,8 @@ def train(
         lane_losses, sad_losses = [], []
         network.train()
         for batch in training_batches(
-            training, normalisation, args.batch, args.jitter, dice, device
+            training, normalisation, args.batch, args.jitter,
+            Variation(args.varied, args.variation), dice, device
         ):
             done = progress()
             if done >= 1:
@@ -395,6 +404,8 @@ def command_of(args: argparse.Namespace) -> str:
     words += ["--sad", "--sad-weight", f"{args.sad_weight:g}"] if args.sad else ["--no-sad"]
     if args.share_weights is not None:
         words.append("--share-weights" if args.share_weights else "--no-share-weights")
+    words += (["--varied", f"{args.varied:g}", "--variation", f"{args.variation:g}"]
+              if args.varied else [])
     words += ["--jitter", f"{args.jitter:g}", "--seed", str(args.seed)]
     words += ["--threads", str(args.threads), "--device", args.device]
     words += ["--precision", args.precision, "--name", args.name]
