@@ -12,8 +12,8 @@ use crate::features::attention::{EnergyMap, Upsampler};
 use crate::monitor::detector::{Evidence, PARTS_MAX};
 use crate::monitor::extraction::Extraction;
 use crate::monitor::rate::Looks;
-use crate::monitor::warn::WarnOn;
 use crate::monitor::scorer::Scorer;
+use crate::monitor::warn::WarnOn;
 use crate::reference::gap::Metric;
 use crate::reference::gap::moments::STEPS_PER_NAT;
 use crate::reference::{Component, Nominal};
@@ -154,7 +154,11 @@ impl<'a> Part<'a> {
             let evidence = scorer
                 .observe(at, &frame.maps, &frame.means)
                 .map_err(|why| self.wrong(index, why))?;
-            looks.judged(at, evidence.judgement(WarnOn::default()), Some(evidence.score()));
+            looks.judged(
+                at,
+                evidence.judgement(WarnOn::default()),
+                Some(evidence.score()),
+            );
             each(at, &evidence, &mut scorer);
         }
         Ok(())
