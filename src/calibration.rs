@@ -3,6 +3,7 @@
 
 pub mod survey;
 
+mod distance;
 pub mod drive;
 mod error;
 mod target;
@@ -19,7 +20,11 @@ mod fitting;
 mod spans;
 mod thresholds;
 
+mod facts;
+mod far;
+
 mod component;
+mod pair;
 
 mod accept;
 mod calibrate;
@@ -36,12 +41,14 @@ pub use binning::{
     EPSILON_SHARE, LOG_ENERGY_BINS, PaperBinning, TEMPERATURE_SHARE, TapHistogram, Temperature,
     counts_of,
 };
-pub use calibrate::{Calibrated, calibrate, looks};
+pub use calibrate::{Calibrated, FarDrives, calibrate, calibrate_with, looks};
 pub use cause_names::{CauseName, cause_of, with_conditions};
 pub use causes::{LearntCauses, learn_causes};
 pub use component::Domain;
+pub use distance::DriveDistance;
 pub use drive::{LabelledDrive, LabelledMeans, SurveyedDrive};
 pub use error::CalibrationError;
+pub use facts::{DriveFacts, facts_of};
 pub use false_alarms::{DriveScores, is_judging};
 pub use lanes::learn_lanes;
 pub use target::Target;

@@ -22,6 +22,7 @@ mod merge;
 mod monitor;
 #[cfg(feature = "lab")]
 mod new_folder;
+mod output;
 mod package_files;
 #[cfg(feature = "lab")]
 mod pictures;

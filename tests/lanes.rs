@@ -69,3 +69,33 @@ fn a_forecast_needs_two_labelled_drives_and_a_metric_of_energies() {
     );
     assert!(!folder.join("r.json").exists());
 }
+
+#[test]
+fn a_forecast_that_does_not_fit_the_energies_of_its_tap_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("r.json");
+    let fault = |change: &dyn Fn(&mut serde_json::Value)| {
+        let mut value = serde_json::to_value(Reference::read(None).unwrap()).unwrap();
+        change(&mut value["lanes"]);
+        std::fs::write(&file, value.to_string()).unwrap();
+        Reference::read(Some(&file))
+            .map(|_| ())
+            .map_err(|why| why.to_string())
+    };
+    assert_eq!(fault(&|_| {}), Ok(()));
+    let epsilon = fault(&|lanes| lanes["risk"]["epsilon"] = 0.5.into()).unwrap_err();
+    assert!(
+        epsilon.contains("lanes: a forecast with an epsilon of 0.5 beside "),
+        "{epsilon}"
+    );
+    let fewer = fault(&|lanes| {
+        for of in ["mean", "spread", "weights"] {
+            lanes["risk"][of].as_array_mut().unwrap().pop();
+        }
+    });
+    let fewer = fewer.unwrap_err();
+    assert!(
+        fewer.contains("a forecast from 79 energies beside 80"),
+        "{fewer}"
+    );
+}

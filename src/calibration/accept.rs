@@ -1,11 +1,13 @@
 //! Roads → nominal domains beside the simulation of a reference, whose drives are not needed.
 
 use super::component::{Domain, component_of, uses};
+use super::distance::DriveDistance;
 use super::drive::{LabelledMeans, SurveyedDrive};
 use super::error::CalibrationError;
-use super::stretch::{Stretch, Usage, look_at_all};
+use super::facts::{DriveFacts, facts_of};
+use super::pair;
+use super::stretch::Usage;
 use super::target::Target;
-use super::timed::independent_spans;
 use crate::reference::{Component, Role, SourceUse, Span};
 
 /// The result of an acceptance.
@@ -16,10 +18,12 @@ pub struct Accepted {
     pub sources: Vec<SourceUse>,
     /// What stands behind each domain.
     pub shown: Vec<Shown>,
+    /// How far the drives of each domain are from each other.
+    pub distances: Vec<DriveDistance>,
 }
 
 /// What stands behind an accepted domain.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Shown {
     /// Number of drives.
     pub drives: usize,
@@ -27,6 +31,8 @@ pub struct Shown {
     pub seconds: f64,
     /// Number of spans of each kind that do not overlap, in the order of [`Span::ALL`].
     pub spans: [usize; Span::ALL.len()],
+    /// What each drive is.
+    pub of_drives: Vec<DriveFacts>,
 }
 
 /// Makes nominal domains beside those of a reference, without the drives of its simulation. They are the same as if
@@ -41,43 +47,63 @@ pub fn accept<D: SurveyedDrive>(
 ) -> Result<Accepted, CalibrationError> {
     let taps: Vec<String> = simulation.taps.iter().map(|of| of.tap.clone()).collect();
     let none: &[LabelledMeans] = &[];
-    let (mut components, mut sources, mut shown) = (Vec::new(), Vec::new(), Vec::new());
+    let mut accepted = Accepted {
+        components: Vec::new(),
+        sources: Vec::new(),
+        shown: Vec::new(),
+        distances: Vec::new(),
+    };
     for domain in domains {
-        shown.push(shown_by(domain.drives)?);
+        let facts = facts_of(domain.drives)?;
+        check_energies(&facts, simulation)?;
+        accepted.shown.push(Shown::of(facts));
         let usage = Usage::crossed(domain.drives);
-        sources.extend(uses(domain, &usage, Role::Accepted));
-        let mut component =
-            component_of(&domain.name, &usage, Some(simulation), none, &taps, wanted)?;
-        component.widen_like(simulation);
-        components.push(component);
+        accepted
+            .sources
+            .extend(uses(domain, &usage, Role::Accepted));
+        let mut made = component_of(&domain.name, &usage, Some(simulation), none, &taps, wanted)?;
+        made.component.widen_like(simulation);
+        accepted.components.push(made.component);
+        let pair = pair::between(domain, simulation, &taps, wanted)?;
+        accepted
+            .distances
+            .extend(made.distances.into_iter().chain(pair));
     }
-    Ok(Accepted {
-        components,
-        sources,
-        shown,
-    })
+    Ok(accepted)
 }
 
-fn shown_by<D: SurveyedDrive>(drives: &[D]) -> Result<Shown, CalibrationError> {
-    let whole: Vec<Stretch<'_, D>> = drives.iter().map(Stretch::whole).collect();
-    let of_drives = look_at_all(&whole, |part| {
-        let spans = Span::ALL.map(|span| independent_spans(part.times(), span));
-        let period_s = part.frames_hz().map_or(0.0, f64::recip);
-        let ends = part.times().first().zip(part.times().last());
-        let lasted_s = ends.map_or(0.0, |(first, last)| (*last - *first).as_secs_f64());
-        Ok((lasted_s + period_s, spans))
-    })?;
-    let mut shown = Shown {
-        drives: drives.len(),
-        seconds: 0.0,
-        spans: [0; Span::ALL.len()],
-    };
-    for (seconds, spans) in of_drives {
-        shown.seconds += seconds;
-        let all = shown.spans.iter_mut().zip(spans);
-        all.for_each(|(sum, found)| *sum += found);
+impl Shown {
+    /// What drives of one domain show together.
+    pub fn of(of_drives: Vec<DriveFacts>) -> Self {
+        let mut shown = Self {
+            drives: of_drives.len(),
+            seconds: 0.0,
+            spans: [0; Span::ALL.len()],
+            of_drives: Vec::new(),
+        };
+        for facts in &of_drives {
+            shown.seconds += facts.seconds;
+            let all = shown.spans.iter_mut().zip(facts.spans);
+            all.for_each(|(sum, found)| *sum += found);
+        }
+        Self { of_drives, ..shown }
     }
-    Ok(shown)
+}
+
+/// Refuses a reference whose blocks have other numbers of energies than the model gives.
+fn check_energies(facts: &[DriveFacts], simulation: &Component) -> Result<(), CalibrationError> {
+    let wanted: Vec<usize> = simulation.taps.iter().map(|of| of.nominal.len()).collect();
+    let other = facts
+        .iter()
+        .find(|of| of.frames > 0 && of.energies != wanted);
+    match other {
+        None => Ok(()),
+        Some(facts) => Err(CalibrationError::Energies {
+            source_name: facts.source.clone(),
+            found: facts.energies.clone(),
+            wanted,
+        }),
+    }
 }
 
 /// How often [`accept`] looks at drives in total.
@@ -88,5 +114,9 @@ pub fn looks_to_accept<D: SurveyedDrive>(domains: &[Domain<'_, D>], wanted: Targ
         (fitted, scaled) = (fitted + fits, scaled + scales);
     }
     let drives: usize = domains.iter().map(|domain| domain.drives.len()).sum();
-    (drives + 2 * fitted + (1 + usize::from(wanted.is_timed())) * scaled) as u64
+    let pairs: u64 = domains
+        .iter()
+        .map(|of| pair::looks_between(of.drives, wanted))
+        .sum();
+    (drives + 2 * fitted + (1 + usize::from(wanted.is_timed())) * scaled) as u64 + pairs
 }

@@ -1,12 +1,14 @@
 //! Surveys of nominal sources → reference: what is nominal, medians, and thresholds for a wanted rate of false alarms.
 
 use super::component::{Domain, component_of, uses};
+use super::distance::DriveDistance;
 use super::drive::{LabelledDrive, SurveyedDrive};
 use super::error::CalibrationError;
+use super::far;
+use super::pair;
 use super::stretch::{Stretch, Usage, look_at_all};
 use super::target::Target;
 use super::thresholds;
-use crate::reference::gap::Metric;
 use crate::reference::{Component, FalseAlarms, JudgedRate, Role, SourceUse};
 use crate::statistics::quantile::median;
 
@@ -20,6 +22,20 @@ pub struct Calibrated {
     pub sources: Vec<SourceUse>,
     /// How often the road was judged.
     pub rate: JudgedRate,
+    /// How far held-out drives are from the nearest domain, and accepted drives from the others of their domain.
+    pub distances: Vec<DriveDistance>,
+    /// With several domains, the number of held-out drives that are nearest to the simulation; `None` with one domain or
+    /// without held-out drives.
+    pub held_out_of_simulation: Option<usize>,
+}
+
+/// What is done about drives that are far from all domains, see [`DriveDistance::is_far`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum FarDrives {
+    /// There is no reference with them.
+    Refused,
+    /// They count like any others.
+    Allowed,
 }
 
 /// How often [`calibrate`] looks at drives in total, counting each drive each time.
@@ -29,11 +45,7 @@ pub fn looks<D: SurveyedDrive, L: LabelledDrive>(
     labelled: &[L],
     wanted: Target,
 ) -> u64 {
-    // Peaks, then masses and counts for histograms, or moments.
-    let of_fitted = match wanted.metric {
-        Metric::LogEnergy(_) => 3,
-        _ => 2,
-    };
+    let of_fitted = pair::looks_of_fit(wanted);
     let (mut fitted, mut scaled) = (0, 0);
     for (index, domain) in domains.iter().enumerate() {
         let (fits, scales) = usage(index, domain.drives).stretches();
@@ -49,7 +61,32 @@ pub fn looks<D: SurveyedDrive, L: LabelledDrive>(
     let timed = usize::from(wanted.is_timed());
     let several = if domains.len() > 1 { 2 } else { 0 };
     let (scalings, scorings) = (1 + timed, 2 + timed + several);
-    (of_fitted * fitted + scalings * scaled + scorings * scored + labelled.len()) as u64
+    let accepted = domains.iter().skip(1);
+    let pairs: u64 = accepted
+        .map(|of| pair::looks_between(of.drives, wanted))
+        .sum();
+    (of_fitted * fitted + scalings * scaled + scorings * scored + labelled.len()) as u64 + pairs
+}
+
+/// Makes the nominal domains of a reference like [`calibrate_with`], whatever drives are far.
+///
+/// # Errors
+/// Like [`calibrate_with`].
+pub fn calibrate<D: SurveyedDrive, L: LabelledDrive>(
+    domains: &[Domain<'_, D>],
+    held_out: &[D],
+    labelled: &[L],
+    taps: &[String],
+    wanted: Target,
+) -> Result<Calibrated, CalibrationError> {
+    calibrate_with(
+        domains,
+        held_out,
+        labelled,
+        taps,
+        wanted,
+        FarDrives::Allowed,
+    )
 }
 
 /// Makes the nominal domains of a reference and the thresholds that keep the wanted rate of false alarms.
@@ -63,14 +100,17 @@ pub fn looks<D: SurveyedDrive, L: LabelledDrive>(
 /// kept for each frame. The result does not depend on the number of threads.
 ///
 /// # Errors
-/// When a frame cannot be judged, when there are too few frames, or when a drive can no longer be read.
-pub fn calibrate<D: SurveyedDrive, L: LabelledDrive>(
+/// When a frame cannot be judged, when there are too few frames, when a drive can no longer be read, when no held-out drive
+/// is nearest to the simulation, or when drives are far and refused.
+pub fn calibrate_with<D: SurveyedDrive, L: LabelledDrive>(
     domains: &[Domain<'_, D>],
     held_out: &[D],
     labelled: &[L],
     taps: &[String],
     wanted: Target,
+    far_drives: FarDrives,
 ) -> Result<Calibrated, CalibrationError> {
+    let mut distances = Vec::new();
     let mut sources = Vec::new();
     let mut components: Vec<Component> = Vec::new();
     let mut scaling: Vec<Stretch<'_, D>> = Vec::new();
@@ -82,14 +122,12 @@ pub fn calibrate<D: SurveyedDrive, L: LabelledDrive>(
         };
         sources.extend(uses(domain, &usage, role));
         let simulation = components.first();
-        components.push(component_of(
-            &domain.name,
-            &usage,
-            simulation,
-            labelled,
-            taps,
-            wanted,
-        )?);
+        let made = component_of(&domain.name, &usage, simulation, labelled, taps, wanted)?;
+        distances.extend(made.distances);
+        if let Some(simulation) = simulation {
+            distances.extend(pair::between(domain, simulation, taps, wanted)?);
+        }
+        components.push(made.component);
         scaling.extend(usage.folds.into_iter().flat_map(|fold| fold.scaled));
     }
     sources.extend(held_out.iter().map(|drive| SourceUse {
@@ -104,16 +142,31 @@ pub fn calibrate<D: SurveyedDrive, L: LabelledDrive>(
     if !optimistic {
         scaling = held_out.iter().map(Stretch::whole).collect();
     }
-    let frames_hz = look_at_all(&scaling, |part| Ok(part.frames_hz()))?;
+    let looked = look_at_all(&scaling, |part| {
+        let distance = match optimistic {
+            true => None,
+            false => far::of_held_out(part, &components, wanted)?,
+        };
+        Ok((part.frames_hz(), distance))
+    })?;
+    let (frames_hz, of_held_out): (Vec<_>, Vec<_>) = looked.into_iter().unzip();
+    distances.extend(of_held_out.into_iter().flatten());
+    if far_drives == FarDrives::Refused && distances.iter().any(DriveDistance::is_far) {
+        return Err(CalibrationError::Far(distances));
+    }
     let frames_hz = median(frames_hz.into_iter().flatten().collect());
     let rate = frames_hz.map_or(wanted.rate, |hz| wanted.rate.at_most(hz));
     let wanted = Target { rate, ..wanted };
-    let false_alarms = thresholds::set(&mut components, &scaling, wanted, optimistic)?;
+    let (false_alarms, of_simulation) =
+        thresholds::set(&mut components, &scaling, wanted, optimistic)?;
+    let several = components.len() > 1 && !optimistic;
     Ok(Calibrated {
         components,
         false_alarms,
         sources,
         rate,
+        distances,
+        held_out_of_simulation: several.then_some(of_simulation),
     })
 }
 
@@ -138,7 +191,7 @@ mod tests {
     use crate::calibration::survey::{Survey, SurveyFrame};
     use crate::features::energies::BlockMeans;
     use crate::reference::EvidenceKind;
-    use crate::reference::gap::Divergence;
+    use crate::reference::gap::{Divergence, Metric};
 
     const LOG_ENERGY: Metric = Metric::LogEnergy(Divergence::JensenShannon);
     const ATTENTION: Metric = Metric::Attention(Divergence::JensenShannon);

@@ -1,11 +1,13 @@
 //! Drives of one domain → what is nominal in it, with thresholds that are quantiles of its own distances.
 
+use super::distance::DriveDistance;
 use super::drive::{LabelledDrive, SurveyedDrive};
 use super::error::CalibrationError;
+use super::far;
 use super::fitting::{Fitting, epsilons_of};
 use super::spans;
 use super::stretch::{Stretch, Usage, look_at_folds};
-use super::target::Target;
+use super::target::{THRESHOLD_QUANTILE, Target};
 use crate::capture::undefined::Undefined;
 use crate::reference::{Component, Role, SPREAD_MIN, ScalePoint, SourceUse};
 use crate::statistics::quantile::{median, quantile};
@@ -14,9 +16,6 @@ use crate::statistics::quantile::{median, quantile};
 const WINDOW_FRAMES: [usize; 5] = [1, 2, 5, 10, 20];
 /// Smallest number of held-out frames for a scale.
 const HELD_OUT_MIN: usize = 20;
-/// Share of held-out windows below the threshold, before the rate of false alarms moves all thresholds together. It
-/// sets the relative weight of the taps and window lengths.
-const THRESHOLD_QUANTILE: f64 = 0.99;
 
 /// Nominal drives of one domain.
 pub struct Domain<'a, D> {
@@ -46,6 +45,14 @@ pub fn uses<'d, D: SurveyedDrive>(
     domain.drives.iter().map(of).collect()
 }
 
+/// A domain, and how far its drives are from each other.
+pub struct Made {
+    /// The domain, whose thresholds are the 99 % quantiles of its distances.
+    pub component: Component,
+    /// Of an accepted domain with three drives or more, the distance of each drive from the others.
+    pub distances: Vec<DriveDistance>,
+}
+
 /// A domain whose thresholds are the 99 % quantiles of its distances. `simulation` is given for an accepted domain.
 pub fn component_of<D: SurveyedDrive, L: LabelledDrive>(
     name: &str,
@@ -54,7 +61,7 @@ pub fn component_of<D: SurveyedDrive, L: LabelledDrive>(
     labelled: &[L],
     taps: &[String],
     wanted: Target,
-) -> Result<Component, CalibrationError> {
+) -> Result<Made, CalibrationError> {
     let scaled = usage.folds.iter().flat_map(|fold| &fold.scaled);
     let found: usize = scaled.map(|stretch| stretch.range.len()).sum();
     if found < HELD_OUT_MIN {
@@ -81,11 +88,21 @@ pub fn component_of<D: SurveyedDrive, L: LabelledDrive>(
     }
     let scaled = usage.folds.iter().map(|fold| fold.scaled.as_slice());
     let folds: Vec<(&Component, &[Stretch<'_, D>])> = of_folds.iter().zip(scaled).collect();
-    scale(&mut component, &folds, wanted)?;
+    let gaps = scale(&mut component, &folds, wanted)?;
+    let distances = match simulation {
+        None => Vec::new(),
+        Some(simulation) => {
+            let stretches: Vec<_> = folds.iter().flat_map(|(_, scaled)| *scaled).collect();
+            far::among(&component, simulation, &stretches, &gaps, wanted)
+        }
+    };
     if component.spans() > 0 {
         spans::scale(&mut component, &folds, simulation)?;
     }
-    Ok(component)
+    Ok(Made {
+        component,
+        distances,
+    })
 }
 
 /// What is nominal in a domain, with distances that are not scaled yet. `simulation` is given for an accepted domain.
@@ -132,12 +149,13 @@ fn fitted_component<D: SurveyedDrive, L: LabelledDrive>(
     Ok(component)
 }
 
-/// Scales the gaps of a domain with the gaps of windows of its own drives, each from what its fold has fitted.
+/// Scales the gaps of a domain with the gaps of windows of its own drives, each from what its fold has fitted. Returns these
+/// gaps, `[stretches][taps][window lengths][windows]`.
 fn scale<D: SurveyedDrive>(
     component: &mut Component,
     folds: &[(&Component, &[Stretch<'_, D>])],
     wanted: Target,
-) -> Result<(), CalibrationError> {
+) -> Result<Vec<Vec<Vec<Vec<f64>>>>, CalibrationError> {
     // [drives][taps][window lengths][windows]
     let gaps = look_at_folds(folds, |part, own| part.gaps(wanted, own, &WINDOW_FRAMES))?;
     for (index, tap) in component.taps.iter_mut().enumerate() {
@@ -149,7 +167,7 @@ fn scale<D: SurveyedDrive>(
             })
             .collect();
     }
-    Ok(())
+    Ok(gaps)
 }
 
 /// Median and threshold of the gaps of windows of `frames` frames; `None` without enough windows.

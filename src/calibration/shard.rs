@@ -56,6 +56,13 @@ pub struct ShardSource {
     pub frames: u64,
 }
 
+impl ShardSource {
+    /// Whether it is an accepted drive that does not say to which domain it belongs.
+    fn is_of_no_domain(&self) -> bool {
+        self.role == Role::Accepted && self.domain.is_none()
+    }
+}
+
 /// A file that is not a part of a reference.
 #[derive(Debug, thiserror::Error)]
 pub enum ShardError {
@@ -112,9 +119,23 @@ impl Shard {
                     value["version"]
                 )));
             }
-            return serde_json::from_slice(&text).map_err(|error| malformed(fault(&error)));
+            let shard: Self =
+                serde_json::from_slice(&text).map_err(|error| malformed(fault(&error)))?;
+            let nameless = shard.sources.iter().filter(|of| of.is_of_no_domain());
+            return match nameless.count() {
+                0 | 1 => Ok(shard),
+                more => Err(malformed(format!(
+                    "{more} accepted drives without the names of their domains"
+                ))),
+            };
         }
         let reference = Reference::read(Some(path))?;
+        let accepted: Vec<String> = reference
+            .components
+            .iter()
+            .skip(1)
+            .map(|of| of.name.clone())
+            .collect();
         let sources = reference.provenance.sources.into_iter().map(|source| {
             let role = source.role.ok_or_else(|| {
                 malformed(format!(
@@ -122,12 +143,23 @@ impl Shard {
                     source.source
                 ))
             })?;
-            Ok(ShardSource {
+            let mut of = ShardSource {
                 source: source.source,
                 role,
                 domain: source.domain,
                 frames: source.frames,
-            })
+            };
+            if of.is_of_no_domain() {
+                let [only] = accepted.as_slice() else {
+                    return Err(malformed(format!(
+                        "a reference with {} accepted domains that does not say to which {} belongs",
+                        accepted.len(),
+                        of.source
+                    )));
+                };
+                of.domain = Some(only.clone());
+            }
+            Ok(of)
         });
         Ok(Self {
             format: FORMAT.to_owned(),

@@ -3,6 +3,10 @@
 use crate::reference::gap::Metric;
 use crate::reference::{EvidenceKind, JudgedRate};
 
+/// Share of held-out windows below the threshold, before the rate of false alarms moves all thresholds together. It
+/// sets the relative weight of the taps and window lengths.
+pub const THRESHOLD_QUANTILE: f64 = 0.99;
+
 /// Metric, window and rate of false alarms for which a reference is made.
 #[derive(Clone, Copy, Debug)]
 pub struct Target {

@@ -26,19 +26,28 @@ struct Sorted<'a, 'd, D> {
 }
 
 /// Sets the thresholds of all domains for the wanted rate. The first domain is the simulation. `optimistic`: the drives
-/// have also scaled the distances, so none of them judges the rate.
+/// have also scaled the distances, so none of them judges the rate. Returns the number of drives nearest to the simulation
+/// too.
+///
+/// # Errors
+/// `NoneOfSimulation` if every held-out drive is nearest to an accepted domain.
 pub fn set<D: SurveyedDrive>(
     components: &mut [Component],
     drives: &[Stretch<'_, D>],
     wanted: Target,
     optimistic: bool,
-) -> Result<FalseAlarms, CalibrationError> {
+) -> Result<(FalseAlarms, usize), CalibrationError> {
     let several = components.len() > 1;
     let domain = match several {
         true => look_at_all(drives, |part| nearest(part, components, wanted))?,
         false => vec![0; drives.len()],
     };
-    // Drives that are all on accepted roads still set the margins of the simulation, which are then far.
+    if !optimistic && !drives.is_empty() && !domain.contains(&0) {
+        return Err(CalibrationError::NoneOfSimulation {
+            held_out: drives.len(),
+        });
+    }
+    // Without held-out drives, those of the domains set the margins of the simulation, whatever they are nearest to.
     let domain = match domain.contains(&0) {
         true => domain,
         false => vec![0; drives.len()],
@@ -61,7 +70,8 @@ pub fn set<D: SurveyedDrive>(
         let scores: Vec<(usize, DriveScores)> = scores.into_iter().enumerate().collect();
         false_alarms::count(&mut false_alarms, &scores, optimistic);
     }
-    Ok(false_alarms)
+    let of_simulation = sorted.of(0).len();
+    Ok((false_alarms, of_simulation))
 }
 
 impl<D: SurveyedDrive> Sorted<'_, '_, D> {

@@ -180,11 +180,14 @@ pub struct CalibrateArgs {
     #[arg(long, value_name = "SOURCE", num_args = 1..)]
     pub accept: Vec<String>,
     /// The same for several domains: sources of one name are one domain
-    #[arg(long, value_name = "NAME=SOURCE", num_args = 1.., value_parser = named)]
+    #[arg(long, value_name = "NAME=SOURCE", num_args = 1.., value_parser = named_domain)]
     pub accept_as: Vec<(String, String)>,
     /// Nominal drives that set and judge the rate of false alarms
     #[arg(long, value_name = "SOURCE", num_args = 1..)]
     pub held_out: Vec<String>,
+    /// Use drives that are far from all others of their kind all the same, with a warning instead of an error
+    #[arg(long)]
+    pub allow_far: bool,
     /// Rendered drives from which a forecast of lost lanes is learnt; each is used as it is and under every condition
     #[arg(long, value_name = "scene:…", num_args = 1..)]
     pub labelled: Vec<String>,
@@ -226,6 +229,21 @@ pub struct CalibrateArgs {
     /// Reference file to write
     #[arg(long, value_name = "FILE")]
     pub out: PathBuf,
+}
+
+/// Most characters in the name of an accepted domain.
+const DOMAIN_NAME_MAX: usize = 64;
+
+/// Parses the name of an accepted domain and its source. A source without a name is not cut at its own `=`.
+fn named_domain(text: &str) -> Result<(String, String), String> {
+    let (name, source) = named(text)?;
+    let wrong = |c: char| matches!(c, '?' | ':' | '/') || c.is_control();
+    if name.trim().is_empty() || name.chars().count() > DOMAIN_NAME_MAX || name.contains(wrong) {
+        return Err(format!(
+            "wanted NAME=SOURCE, with a name of 1 to {DOMAIN_NAME_MAX} characters without ?, : and /"
+        ));
+    }
+    Ok((name, source))
 }
 
 /// Merge references, or shards of one, made by gapwatch calibrate

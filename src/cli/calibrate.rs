@@ -6,23 +6,25 @@ use std::path::Path;
 use anyhow::{Context, bail};
 use gapwatch::calibration::shard::Shard;
 use gapwatch::calibration::survey::store::SurveyStore;
-use gapwatch::calibration::{Shown, Target, with_conditions};
+use gapwatch::calibration::{FarDrives, Shown, Target, with_conditions};
 use gapwatch::capture::drives;
 use gapwatch::reference::gap::Metric;
 use gapwatch::reference::gap::energy_norm::SPANS_OWN;
 use gapwatch::reference::{
-    Causes, Discriminant, EvidenceKind, JudgedRate, NominalDrives, Reference, Role, Span,
+    Causes, Discriminant, EvidenceKind, JudgedRate, NominalDrives, Reference, Role, SourceUse, Span,
 };
 use gapwatch::statistics::event_rate::{Hours, Loudness, ThreeDigits};
 
-use super::calibration_plan::{CalibrationPlan, Found, PlannedDrive};
+use super::calibration_plan::{CalibrationPlan, Found, PlannedDrive, Widened};
 use super::loaded_model::LoadedModel;
+use super::output::check_is_no_input;
 use crate::cli::args::CalibrateArgs;
 
 pub fn run(args: &CalibrateArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
     if args.metric == Metric::Frechet {
         bail!("--metric frechet compares whole sets; wanted a metric that judges a window");
     }
+    check_out(args)?;
     let sources = sources(args)?;
     if let Some(base) = &args.base {
         return accept(args, base, sources, out);
@@ -63,12 +65,44 @@ pub fn run(args: &CalibrateArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
         )?;
         return Ok(0);
     }
-    let reference = plan.reference(found)?;
+    let (reference, doubts) = plan.reference(found, far_drives(args))?;
     reference
         .write(&args.out)
         .context("cannot write the reference")?;
     describe(&reference, &args.out, out)?;
+    doubts.iter().for_each(|doubt| log::warn!("{doubt}"));
     Ok(0)
+}
+
+fn far_drives(args: &CalibrateArgs) -> FarDrives {
+    match args.allow_far {
+        true => FarDrives::Allowed,
+        false => FarDrives::Refused,
+    }
+}
+
+/// Refuses to write over anything that is read.
+fn check_out(args: &CalibrateArgs) -> anyhow::Result<()> {
+    let of_roles = [
+        ("--sim", &args.sim),
+        ("--accept", &args.accept),
+        ("--held-out", &args.held_out),
+        ("--labelled", &args.labelled),
+        ("--causes", &args.causes),
+    ];
+    let typed = of_roles.iter().flat_map(|(option, names)| {
+        let names = names.iter();
+        names.map(|name| (*option, name.as_str()))
+    });
+    let named = args
+        .accept_as
+        .iter()
+        .map(|(_, name)| ("--accept-as", name.as_str()));
+    let files = [("--surveys", &args.surveys), ("--model", &args.model.model)];
+    let files = files
+        .iter()
+        .filter_map(|(option, file)| Some((*option, file.as_ref()?.to_str()?)));
+    check_is_no_input(&args.out, typed.chain(named).chain(files))
 }
 
 fn sources(args: &CalibrateArgs) -> anyhow::Result<Vec<PlannedDrive>> {
@@ -153,23 +187,26 @@ fn accept(
         rate: reference.rate,
     };
     let plan = CalibrationPlan::new(model.fingerprint.clone(), wanted, sources)?;
+    plan.check_base(&reference, base)?;
     let (_store, found) = look(args, &plan, &model)?;
-    let (reference, shown) = plan.accepted(found, reference, base)?;
+    let Widened {
+        reference,
+        shown,
+        doubts,
+    } = plan.accepted(found, reference, base, far_drives(args))?;
     reference
         .write(&args.out)
         .context("cannot write the reference")?;
     describe(&reference, &args.out, out)?;
-    for (name, shown) in shown {
-        describe_accepted(&name, shown, out)?;
+    for (name, shown) in &shown {
+        describe_accepted(name, shown, out)?;
     }
+    doubts.iter().for_each(|doubt| log::warn!("{doubt}"));
     Ok(0)
 }
 
-/// Length of an accepted road, below which its own changes are not known, seconds.
-const ACCEPTED_MIN_S: f64 = 60.0;
-
 /// Says what stands behind an accepted domain, and what is missing.
-fn describe_accepted(name: &str, shown: Shown, out: &mut dyn Write) -> anyhow::Result<()> {
+fn describe_accepted(name: &str, shown: &Shown, out: &mut dyn Write) -> anyhow::Result<()> {
     let drives = match shown.drives {
         1 => "1 drive".to_owned(),
         drives => format!("{drives} drives"),
@@ -205,23 +242,26 @@ fn describe_accepted(name: &str, shown: Shown, out: &mut dyn Write) -> anyhow::R
             )?,
         }
     }
-    if shown.seconds < ACCEPTED_MIN_S {
-        log::warn!(
-            "{name}: {:.0} s of road are little; wanted {ACCEPTED_MIN_S:.0} s or more, on which light and surroundings change as they will",
-            shown.seconds
-        );
-    }
     Ok(())
 }
 
 /// Writes a readable description of a reference; `file` is where it was written.
 pub fn describe(reference: &Reference, file: &Path, out: &mut dyn Write) -> anyhow::Result<()> {
-    let frames = |of: fn(&gapwatch::reference::SourceUse) -> u64| {
-        reference.provenance.sources.iter().map(of).sum::<u64>()
+    let is_accepted = |of: &&SourceUse| of.role == Some(Role::Accepted);
+    let all = &reference.provenance.sources;
+    let frames = |of: fn(&SourceUse) -> u64| {
+        let others = all.iter().filter(|source| !is_accepted(source));
+        others.map(of).sum::<u64>()
+    };
+    // Every frame of an accepted road is fitted, and is also measured by what other frames have fitted.
+    let accepted: u64 = all.iter().filter(is_accepted).map(|of| of.fitted).sum();
+    let of_accepted = match accepted {
+        0 => String::new(),
+        frames => format!(", {frames} of accepted roads fitted and scaled crosswise"),
     };
     writeln!(
         out,
-        "{}: {} on {} sources, {} frames fitted, {} held out; {}",
+        "{}: {} on {} sources, {} frames fitted, {} held out{of_accepted}; {}",
         file.display(),
         reference.metric,
         reference.provenance.sources.len(),

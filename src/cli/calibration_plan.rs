@@ -1,7 +1,9 @@
 //! What a reference is made of: drives by role, in a fixed order, and what the encoder saw of them.
 
+mod base;
 mod command;
 mod labelled;
+pub mod warnings;
 
 use std::borrow::Cow;
 use std::collections::{BTreeMap, HashSet};
@@ -12,8 +14,9 @@ use gapwatch::calibration::shard::ShardSource;
 use gapwatch::calibration::survey::store::{Content, Stored, SurveyKind, SurveyStore};
 use gapwatch::calibration::survey::{Keep, Survey};
 use gapwatch::calibration::{
-    Calibrated, Domain, LabelledDrive, LabelledMeans, Shown, SurveyedDrive, Target, accept,
-    calibrate, cause_of, learn_causes, learn_lanes, looks, looks_to_accept,
+    Accepted, Calibrated, CalibrationError, Domain, DriveDistance, DriveFacts, FarDrives,
+    LabelledDrive, LabelledMeans, Shown, SurveyedDrive, Target, accept, calibrate_with, cause_of,
+    facts_of, learn_causes, learn_lanes, looks, looks_to_accept,
 };
 use gapwatch::capture::{open, sort_drives, stamp};
 use gapwatch::model::ModelSpec;
@@ -303,13 +306,18 @@ impl CalibrationPlan {
         Ok(sources)
     }
 
-    /// Makes the reference from the drives, all of which have been found.
-    pub fn reference(&self, found: Found) -> anyhow::Result<Reference> {
+    /// Makes the reference from the drives, all of which have been found, and says what is doubtful about them.
+    pub fn reference(
+        &self,
+        found: Found,
+        far_drives: FarDrives,
+    ) -> anyhow::Result<(Reference, Vec<String>)> {
         let drives = all(found.drives)?;
         let labelled = all(found.labelled)?;
         let bar = progress::over(Some(0), "thresholds", "looks at drives");
         let drives: Vec<CountedDrive<'_, _>> = counted(&drives, &bar);
         let labelled: Vec<CountedDrive<'_, _>> = counted(&labelled, &bar);
+        let nominal = drives.len() - self.causes.len();
         let (simulation, rest) = drives.split_at(self.simulation.len());
         let mut domains = vec![Domain {
             name: SIMULATION.to_owned(),
@@ -327,13 +335,27 @@ impl CalibrationPlan {
         if !causes.is_empty() {
             length += (simulation.len() + causes.len()) as u64;
         }
-        bar.set_length(length);
+        bar.set_length(length + nominal as u64);
+        let facts = facts_of(&drives[..nominal])?;
         let Calibrated {
             components,
             false_alarms,
             mut sources,
             rate,
-        } = calibrate(&domains, held_out, of_metric, &self.model.taps, self.wanted)?;
+            distances,
+            held_out_of_simulation,
+        } = calibrate_with(
+            &domains,
+            held_out,
+            of_metric,
+            &self.model.taps,
+            self.wanted,
+            far_drives,
+        )?;
+        tell(&distances);
+        let mut doubts = self.doubts(&facts, &sources)?;
+        doubts.extend(warnings::of_far(&distances));
+        doubts.extend(warnings::of_few_held_out(held_out_of_simulation));
         let learnt = match causes {
             [] => None,
             drives => Some(learn_causes(
@@ -374,7 +396,7 @@ impl CalibrationPlan {
             command: self.command(rate)?,
             sources,
         };
-        Ok(Reference::new(
+        let reference = Reference::new(
             self.model.clone(),
             self.wanted.metric,
             self.wanted.window_s,
@@ -384,7 +406,39 @@ impl CalibrationPlan {
             components,
         )
         .with_causes(causes)
-        .with_lanes(lanes))
+        .with_lanes(lanes);
+        Ok((reference, doubts))
+    }
+
+    /// What is doubtful about the drives of the simulation, the accepted domains and the held-out drives, of which `facts`
+    /// are in this order.
+    fn doubts(&self, facts: &[DriveFacts], sources: &[SourceUse]) -> anyhow::Result<Vec<String>> {
+        let (simulation, mut rest) = facts.split_at(self.simulation.len());
+        let mut doubts = Vec::new();
+        let fitted = sources
+            .iter()
+            .filter(|of| of.role == Some(Role::Simulation));
+        let fitted = usize::try_from(fitted.map(|of| of.fitted).sum::<u64>())?;
+        doubts.extend(warnings::of_stills("--sim", simulation.iter()));
+        if self.wanted.metric.divergence().is_none() {
+            doubts.extend(warnings::of_few_frames("--sim", fitted, simulation));
+        }
+        for (name, names) in &self.accepted {
+            let (own, others) = rest.split_at(names.len());
+            rest = others;
+            doubts.extend(self.doubts_about_accepted(name, &Shown::of(own.to_vec())));
+        }
+        doubts.extend(warnings::of_stills("--held-out", rest.iter()));
+        doubts.extend(self.camera_faults()?);
+        Ok(doubts)
+    }
+
+    /// What is doubtful about one accepted domain.
+    fn doubts_about_accepted(&self, name: &str, shown: &Shown) -> Vec<String> {
+        let stills = warnings::of_stills("accepted", shown.of_drives.iter());
+        let mut doubts = warnings::of_accepted(name, shown);
+        doubts.extend(stills);
+        doubts
     }
 
     /// Accepted domains, and the drives after theirs.
@@ -401,38 +455,59 @@ impl CalibrationPlan {
         (domains, rest)
     }
 
-    /// Adds the accepted drives, all of which have been found, to a reference; `base` is what was typed for it.
+    /// Adds the accepted drives, all of which have been found, to a reference, and says what stands behind each domain and
+    /// what is doubtful; `base` is what was typed for the reference.
     pub fn accepted(
         &self,
         found: Found,
         reference: Reference,
         base: &str,
-    ) -> anyhow::Result<(Reference, Vec<(String, Shown)>)> {
-        for component in &reference.components {
-            if self.accepted.contains_key(&component.name) {
-                bail!(
-                    "domain {} is in the reference {base} already; wanted another name with --accept-as",
-                    component.name
-                );
-            }
-        }
-        let domains_now = self.accepted.len() + reference.components.len();
-        if domains_now > COMPONENTS_MAX {
-            bail!("{domains_now} nominal domains; wanted at most {COMPONENTS_MAX}");
-        }
+        far_drives: FarDrives,
+    ) -> anyhow::Result<Widened> {
         let drives = all(found.drives)?;
         let bar = progress::over(Some(0), "thresholds", "looks at drives");
         let drives: Vec<CountedDrive<'_, _>> = counted(&drives, &bar);
         let (domains, _) = self.accepted_domains(&drives);
         bar.set_length(looks_to_accept(&domains, self.wanted));
-        let accepted = accept(&reference.components[0], &domains, self.wanted)?;
+        let Accepted {
+            components,
+            sources,
+            shown,
+            distances,
+        } = accept(&reference.components[0], &domains, self.wanted)?;
         bar.finish_and_clear();
+        tell(&distances);
+        if far_drives == FarDrives::Refused && distances.iter().any(DriveDistance::is_far) {
+            return Err(CalibrationError::Far(distances).into());
+        }
         let names = domains.iter().map(|domain| domain.name.clone());
-        Ok((
-            reference.accepting(accepted.components, accepted.sources, self.command_on(base)),
-            names.zip(accepted.shown).collect(),
-        ))
+        let shown: Vec<(String, Shown)> = names.zip(shown).collect();
+        let mut doubts = Vec::new();
+        for (name, shown) in &shown {
+            doubts.extend(self.doubts_about_accepted(name, shown));
+        }
+        doubts.extend(self.camera_faults()?);
+        doubts.extend(warnings::of_far(&distances));
+        Ok(Widened {
+            reference: reference.accepting(components, sources, self.command_on(base)?),
+            shown,
+            doubts,
+        })
     }
+}
+
+/// Logs every distance for `RUST_LOG=info`.
+fn tell(distances: &[DriveDistance]) {
+    distances.iter().for_each(|of| log::info!("{of}"));
+}
+
+/// A reference with accepted roads.
+pub struct Widened {
+    pub reference: Reference,
+    /// Name of each accepted domain, and what stands behind it.
+    pub shown: Vec<(String, Shown)>,
+    /// What is doubtful about the roads.
+    pub doubts: Vec<String>,
 }
 
 /// A drive that counts in the progress bar how often its survey is read.

@@ -6,9 +6,9 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
-use gapwatch::calibration::Target;
 use gapwatch::calibration::shard::Shard;
 use gapwatch::calibration::survey::store::SurveyStore;
+use gapwatch::calibration::{FarDrives, Target};
 use gapwatch::reference::{JudgedRate, Role};
 
 use super::calibrate::describe;
@@ -98,11 +98,13 @@ pub fn run(args: &MergeArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
             }
         }
     }
-    let reference = plan.reference(found)?;
+    // Drives that are far were refused or allowed when the parts were made, or are named now.
+    let (reference, doubts) = plan.reference(found, FarDrives::Allowed)?;
     reference
         .write(&args.out)
         .context("cannot write the reference")?;
     describe(&reference, &args.out, out)?;
+    doubts.iter().for_each(|doubt| log::warn!("{doubt}"));
     Ok(0)
 }
 

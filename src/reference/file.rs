@@ -60,6 +60,10 @@ pub struct Reference {
     pub false_alarms: FalseAlarms,
     /// How it was made.
     pub provenance: Provenance,
+    /// Commands that made the references to which accepted roads were added, one after the other, oldest first; the command in
+    /// `provenance` added the last ones.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub built_on: Vec<String>,
     /// The domains that are nominal: the simulation first, then what was accepted. The gap is the smallest one over
     /// these domains.
     pub components: Vec<Component>,
@@ -326,6 +330,7 @@ impl Reference {
             rate,
             false_alarms,
             provenance,
+            built_on: Vec::new(),
             components,
             causes: None,
             lanes: None,
@@ -343,7 +348,8 @@ impl Reference {
         self.components.extend(components);
         self.strict = is_strict(self.metric, &self.components);
         self.provenance.sources.extend(sources);
-        self.provenance.command = command;
+        let before = std::mem::replace(&mut self.provenance.command, command);
+        self.built_on.push(before);
         self
     }
 

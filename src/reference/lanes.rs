@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::gap::lane_risk::LaneRisk;
-use super::nominal::TapReference;
+use super::nominal::{Nominal, TapReference};
 
 /// A forecast, learnt from rendered drives with lane labels.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -41,12 +41,28 @@ impl LaneForecast {
 
     /// What is wrong with it, if anything.
     pub(super) fn fault(&self, taps: &[TapReference]) -> Option<String> {
-        let energies = taps.last().map_or(0, |tap| tap.nominal.len());
-        if self.risk.mean.len() != energies {
+        let Some((tap, Nominal::Energies(norm))) = taps.last().map(|tap| (tap, &tap.nominal))
+        else {
+            return Some("a forecast from energies beside a last tap without energies".to_owned());
+        };
+        if self.risk.mean.len() != norm.energies() {
             return Some(format!(
-                "a forecast from {} energies beside {energies}",
-                self.risk.mean.len()
+                "a forecast from {} energies beside {} of tap {}",
+                self.risk.mean.len(),
+                norm.energies(),
+                tap.tap
             ));
+        }
+        // Levels are taken once for both, with the epsilon of the tap.
+        if self.risk.epsilon.to_bits() != norm.epsilon.to_bits() {
+            return Some(format!(
+                "a forecast with an epsilon of {} beside {} of tap {}",
+                self.risk.epsilon, norm.epsilon, tap.tap
+            ));
+        }
+        let judged = [self.judged.mean_absolute_error, self.judged.of_the_mean];
+        if judged.iter().any(|error| !error.is_finite()) {
+            return Some(format!("mean errors of {} and {}", judged[0], judged[1]));
         }
         self.risk.fault()
     }

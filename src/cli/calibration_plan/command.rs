@@ -11,12 +11,13 @@ use super::{ACCEPTED, CalibrationPlan};
 
 impl CalibrationPlan {
     /// A command that adds the accepted roads to a reference again; `base` is what was typed for it.
-    pub(super) fn command_on(&self, base: &str) -> String {
+    pub(super) fn command_on(&self, base: &str) -> anyhow::Result<String> {
         let mut words = words(&["gapwatch", "calibrate", "--base"]);
         words.push(quoted(base));
         self.add_accepted(&mut words);
+        self.add_model(&mut words)?;
         words.extend(self::words(&["--out", "reference.json"]));
-        words.join(" ")
+        Ok(words.join(" "))
     }
 
     /// A command that makes the reference again. It does not depend on what was typed, so it has no names of files on
@@ -47,6 +48,14 @@ impl CalibrationPlan {
         add("--evidence", &[evidence.to_string()]);
         add("--rate", &[rate.rate_hz.to_string()]);
         add("--idle-rate", &[rate.idle_rate_hz.to_string()]);
+        self.add_model(&mut words)?;
+        add_to(&mut words, "--out", &["reference.json".to_owned()]);
+        Ok(words.join(" "))
+    }
+
+    /// Adds the options of a model that is not the built-in one.
+    fn add_model(&self, words: &mut Vec<String>) -> anyhow::Result<()> {
+        let mut add = |flag: &str, values: &[String]| add_to(words, flag, values);
         let built_in = ModelSpec::new(None, ModelOptions::default())?;
         let of = &self.model.preprocessing;
         if self.model.name != built_in.name {
@@ -64,8 +73,7 @@ impl CalibrationPlan {
                 add("--crop", &[comma_separated(&of.crop)]);
             }
         }
-        add("--out", &["reference.json".to_owned()]);
-        Ok(words.join(" "))
+        Ok(())
     }
 
     fn add_accepted(&self, words: &mut Vec<String>) {
