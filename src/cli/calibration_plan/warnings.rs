@@ -21,10 +21,16 @@ const FAULTS_MIN: f64 = 0.01;
 /// Number of drives that a warning names.
 const NAMED_MAX: usize = 3;
 
-/// Drives that are far from all others and were allowed.
+/// Drives that are far from all others and were allowed, and accepted drives that would be a gap to the others.
 pub fn of_far(distances: &[DriveDistance]) -> impl Iterator<Item = String> {
-    let far = distances.iter().filter(|of| of.is_far());
-    far.map(|of| format!("{of}; it counts because of --allow-far"))
+    distances.iter().filter_map(|of| {
+        if of.is_far() {
+            Some(format!("{of}; it is used all the same"))
+        } else {
+            let doubtful = of.is_doubtful();
+            doubtful.then(|| format!("{of}; it would be a gap to them, and makes the domain wider"))
+        }
+    })
 }
 
 /// Drives of still pictures.
