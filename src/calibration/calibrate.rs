@@ -4,6 +4,7 @@ use super::component::{Domain, component_of, uses};
 use super::distance::DriveDistance;
 use super::drive::{LabelledDrive, SurveyedDrive};
 use super::error::CalibrationError;
+use super::false_alarms::is_judging;
 use super::far;
 use super::pair;
 use super::stretch::{Stretch, Usage, look_at_all};
@@ -22,7 +23,7 @@ pub struct Calibrated {
     pub sources: Vec<SourceUse>,
     /// How often the road was judged.
     pub rate: JudgedRate,
-    /// How far held-out drives are from the nearest domain, and accepted drives from the others of their domain.
+    /// How far the held-out drives that set the rate are from the nearest domain, and accepted drives from the others of their domain.
     pub distances: Vec<DriveDistance>,
     /// With several domains, the number of held-out drives that are nearest to the simulation; `None` with one domain or
     /// without held-out drives.
@@ -150,7 +151,10 @@ pub fn calibrate_with<D: SurveyedDrive, L: LabelledDrive>(
         Ok((part.frames_hz(), distance))
     })?;
     let (frames_hz, of_held_out): (Vec<_>, Vec<_>) = looked.into_iter().unzip();
-    distances.extend(of_held_out.into_iter().flatten());
+    // A drive that judges moves no threshold, and the rate says so if it is loud.
+    let setting = of_held_out.into_iter().enumerate();
+    let setting = setting.filter(|&(number, _)| !is_judging(number));
+    distances.extend(setting.filter_map(|(_, distance)| distance));
     if far_drives == FarDrives::Refused && distances.iter().any(DriveDistance::is_far) {
         return Err(CalibrationError::Far(distances));
     }

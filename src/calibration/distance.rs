@@ -8,14 +8,13 @@ use crate::reference::Role;
 /// at most 0.24 for rendered drives among their like, 2.5 for roads that change among roads that do not, 0.1 for halves of a
 /// real road; 3.2 and more for another look, other simulators and real roads among drives of 12 to 50 fitted worlds.
 const HELD_OUT_FAR: f64 = 3.0;
-/// Distance from which on an accepted drive is far from the other ones of its domain: nine of ten of its windows would be a
-/// gap without it. Measured: at most 0.3 for rendered drives and parts of a real road; 1.07 and more for most drives of
-/// another kind.
-const AMONG_FAR: f64 = 1.0;
-/// Distance from which on two accepted drives are far from each other. Measured: at most 0.5 for rendered drives of one look and
-/// halves of a real road, and 1.9 for another look, of which two drives differ more; 3.3 and more for two looks, or for a
-/// look and a real road.
-const PAIR_FAR: f64 = 2.5;
+/// Distance from which on an accepted drive is far from the other ones of its domain, or two drives from each other. Measured: at
+/// most 0.5 for rendered drives of one look and for parts of a real road, and 2.2 for a look of which drives differ more;
+/// among these, 2.3 and more for another look, another simulator or a real road, but 1.1 and more with the wide margins of
+/// the reference inside the program.
+const ACCEPTED_FAR: f64 = 2.5;
+/// Distance from which on nine of ten windows of an accepted drive would be a gap to the other drives of its domain.
+const ACCEPTED_DOUBTFUL: f64 = 1.0;
 
 /// How far a drive is from a nominal domain.
 #[derive(Clone, Debug, PartialEq)]
@@ -65,11 +64,16 @@ impl DriveDistance {
         self.distance >= self.limit()
     }
 
+    /// Whether an accepted drive would be a gap to the others of its domain, although it is not far.
+    pub fn is_doubtful(&self) -> bool {
+        let among = self.role == Role::Accepted && self.beside.is_none();
+        among && !self.is_far() && self.distance >= ACCEPTED_DOUBTFUL
+    }
+
     fn limit(&self) -> f64 {
-        match (&self.beside, self.role) {
-            (Some(_), _) => PAIR_FAR,
-            (None, Role::Accepted) => AMONG_FAR,
-            (None, _) => HELD_OUT_FAR,
+        match self.role {
+            Role::Accepted => ACCEPTED_FAR,
+            _ => HELD_OUT_FAR,
         }
     }
 }

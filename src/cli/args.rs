@@ -185,7 +185,8 @@ pub struct CalibrateArgs {
     /// Nominal drives that set and judge the rate of false alarms
     #[arg(long, value_name = "SOURCE", num_args = 1..)]
     pub held_out: Vec<String>,
-    /// Use drives that are far from all others of their kind all the same, with a warning instead of an error
+    /// Use drives that are far from all others of their kind all the same, with a warning instead of an error. A held-out
+    /// drive that judges the rate may always be far, because it moves no threshold
     #[arg(long)]
     pub allow_far: bool,
     /// Rendered drives from which a forecast of lost lanes is learnt; each is used as it is and under every condition

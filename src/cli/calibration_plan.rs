@@ -420,7 +420,7 @@ impl CalibrationPlan {
             .filter(|of| of.role == Some(Role::Simulation));
         let fitted = usize::try_from(fitted.map(|of| of.fitted).sum::<u64>())?;
         doubts.extend(warnings::of_stills("--sim", simulation.iter()));
-        if self.wanted.metric.divergence().is_none() {
+        if self.wanted.metric == Metric::Mahalanobis {
             doubts.extend(warnings::of_few_frames("--sim", fitted, simulation));
         }
         for (name, names) in &self.accepted {
@@ -431,6 +431,12 @@ impl CalibrationPlan {
         doubts.extend(warnings::of_stills("--held-out", rest.iter()));
         doubts.extend(self.camera_faults()?);
         Ok(doubts)
+    }
+
+    /// Faults of the camera in accepted roads.
+    fn camera_faults(&self) -> anyhow::Result<Vec<String>> {
+        let roads: Vec<&String> = self.accepted.values().flatten().collect();
+        warnings::of_camera_faults(&roads, self.wanted.rate)
     }
 
     /// What is doubtful about one accepted domain.

@@ -9,14 +9,11 @@ use gapwatch::monitor::camera_health::CameraHealth;
 use gapwatch::reference::JudgedRate;
 use rayon::prelude::*;
 
-use super::CalibrationPlan;
-
 /// Length of an accepted road below which light and surroundings hardly change, seconds. Our own choice.
 const ACCEPTED_MIN_S: f64 = 60.0;
-/// Fewest frames for each energy of a block. With two independent frames for each, the smallest variance along any direction is
-/// found (1 - sqrt(1/2))^2 = 0.09 times as large as it is (Marchenko and Pastur 1967), which is as much as the shrinkage
-/// of 0.1 adds. With fewer, the shrinkage decides what is nominal there, and not the road.
-const FRAMES_PER_ENERGY: usize = 2;
+/// Fewest frames for each energy of a block. With fewer frames than energies, some directions of their covariance have no spread
+/// at all, and the shrinkage alone says what is nominal there.
+const FRAMES_PER_ENERGY: usize = 1;
 /// Fewest held-out drives nearest to the simulation: every fourth one judges the rate of false alarms.
 const OF_SIMULATION_MIN: usize = 4;
 /// Share of a road's frames that are faults of the camera, from which on the road is named. Our own choice.
@@ -24,10 +21,16 @@ const FAULTS_MIN: f64 = 0.01;
 /// Number of drives that a warning names.
 const NAMED_MAX: usize = 3;
 
-/// Drives that are far from all others and were allowed.
+/// Drives that are far from all others and were allowed, and accepted drives that would be a gap to the others.
 pub fn of_far(distances: &[DriveDistance]) -> impl Iterator<Item = String> {
-    let far = distances.iter().filter(|of| of.is_far());
-    far.map(|of| format!("{of}; it counts because of --allow-far"))
+    distances.iter().filter_map(|of| {
+        if of.is_far() {
+            Some(format!("{of}; it is used all the same"))
+        } else {
+            let doubtful = of.is_doubtful();
+            doubtful.then(|| format!("{of}; it would be a gap to them, and makes the domain wider"))
+        }
+    })
 }
 
 /// Drives of still pictures.
@@ -89,16 +92,16 @@ fn named(names: &[&str]) -> Option<String> {
     }
 }
 
-impl CalibrationPlan {
-    /// Accepted roads some of whose frames are faults of the camera to the monitor, which then says nothing about the road.
-    /// The pictures are read once more, without the encoder. Rendered drives have no camera.
-    pub fn camera_faults(&self) -> anyhow::Result<Vec<String>> {
-        let roads: Vec<&String> = self.accepted.values().flatten().collect();
-        let found = roads.into_par_iter().filter(|road| !is_rendered(road));
-        let found = found.map(|road| faults_of(road, self.wanted.rate));
-        let found: Vec<Option<String>> = found.collect::<anyhow::Result<_>>()?;
-        Ok(found.into_iter().flatten().collect())
-    }
+/// Accepted roads some of whose frames are faults of the camera to the monitor, which then says nothing about the road.
+/// The pictures are read once more, without the encoder. Rendered drives have no camera.
+///
+/// # Errors
+/// When a road can no longer be read.
+pub fn of_camera_faults(roads: &[&String], rate: JudgedRate) -> anyhow::Result<Vec<String>> {
+    let found = roads.par_iter().filter(|road| !is_rendered(road));
+    let found = found.map(|road| faults_of(road, rate));
+    let found: Vec<Option<String>> = found.collect::<anyhow::Result<_>>()?;
+    Ok(found.into_iter().flatten().collect())
 }
 
 fn faults_of(road: &str, rate: JudgedRate) -> anyhow::Result<Option<String>> {
