@@ -4,7 +4,8 @@ use std::path::{Path, PathBuf};
 
 use anyhow::bail;
 
-/// Refuses an output that is one of the inputs, or that exists inside a folder which is an input. `inputs` are the option
+/// Refuses an output that is one of the inputs, or that exists inside a folder which is an input, also if one of them is a
+/// link to the other. `inputs` are the option
 /// and the name of each: sources as typed, with what may follow `?`, and other files and folders. Names that are no
 /// files, such as rendered drives, are passed over.
 ///
@@ -26,7 +27,7 @@ pub fn check_is_no_input<'a>(
                     out.display()
                 );
             }
-            if input.is_dir() && place.starts_with(&input) {
+            if input.is_dir() && is_inside(&input, out, &place) {
                 bail!(
                     "{}: --out is a file in {name}, a folder of {option}; wanted a name outside of it",
                     out.display()
@@ -35,6 +36,18 @@ pub fn check_is_no_input<'a>(
         }
     }
     Ok(())
+}
+
+/// Whether an output, which is at `place`, is in a folder: by its own name, or by that of what it links to, or because a
+/// link in the folder leads to it.
+fn is_inside(folder: &Path, out: &Path, place: &Path) -> bool {
+    let parent = out.parent().filter(|parent| !parent.as_os_str().is_empty());
+    let named = parent.unwrap_or(Path::new(".")).canonicalize();
+    let entries = std::fs::read_dir(folder).into_iter().flatten();
+    let mut leads = entries.map(|entry| entry.ok()?.path().canonicalize().ok());
+    place.starts_with(folder)
+        || named.is_ok_and(|named| named.starts_with(folder))
+        || leads.any(|leads| leads.as_deref() == Some(place))
 }
 
 /// The files or folders that a name may mean: as typed, or without the options after a `?`.
@@ -62,6 +75,8 @@ mod tests {
             fs::write(at(file), "1").unwrap();
         }
         std::os::unix::fs::symlink(at("road.mp4"), at("link.mp4")).unwrap();
+        fs::write(at("elsewhere.png"), "1").unwrap();
+        std::os::unix::fs::symlink(at("elsewhere.png"), at("road/2.png")).unwrap();
         let text = |path: PathBuf| path.to_str().unwrap().to_owned();
         let refused = |out: &str, input: &str| {
             check_is_no_input(&at(out), [("--sim", text(at(input)).as_str())]).is_err()
@@ -73,6 +88,8 @@ mod tests {
             ("road.mp4", "link.mp4"),
             ("road/1.png", "road?fps=4"),
             ("road/1.png", "road/"),
+            ("road/2.png", "road?fps=4"),
+            ("elsewhere.png", "road?fps=4"),
         ] {
             assert!(refused(out, input), "{out} beside {input}");
         }
