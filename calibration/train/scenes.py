@@ -235,8 +235,9 @@ def training_batches(
         offset = torch.from_numpy(((shift - mean) / std).astype(np.float32))
         image = torch.from_numpy(frames).to(device).permute(0, 3, 1, 2).float()
         lane = torch.from_numpy(masks).to(device).unsqueeze(1).float()
-        varied, lane = variation.apply(image / 255.0, lane, dice)
-        image = varied * 255.0
+        if variation.share > 0:
+            varied, lane = variation.apply(image / 255.0, lane, dice)
+            image = varied * 255.0
         image.mul_(scale.to(device)[:, :, None, None]).add_(offset.to(device)[:, :, None, None])
         yield Batch(image, lane)
 

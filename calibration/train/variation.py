@@ -37,8 +37,6 @@ class Variation:
 
     def apply(self, images: Tensor, lanes: Tensor, dice: np.random.Generator) -> tuple[Tensor, Tensor]:
         """Varied copies of `images` `[N, 3, H, W]` (0 to 1) and `lanes` `[N, 1, H, W]` (0 or 1)."""
-        if self.share <= 0 or self.strength <= 0:
-            return images, lanes
         images, lanes = images.clone(), lanes.clone()
         for index in np.flatnonzero(dice.random(len(images)) < self.share):
             image, lane = images[index], lanes[index]
