@@ -36,6 +36,15 @@ impl LaneMask {
         self.lane.extend(first.iter().map(|&logit| logit > 0.0));
     }
 
+    /// The mask with lanes in rows `from..to` alone.
+    #[must_use]
+    pub fn in_rows(&self, from: usize, to: usize) -> Self {
+        let mut lane = vec![false; self.lane.len()];
+        let own = self.width * from.min(self.height)..self.width * to.min(self.height);
+        lane[own.clone()].copy_from_slice(&self.lane[own]);
+        Self { lane, ..*self }
+    }
+
     /// Share of the mask that is lane.
     pub fn area(&self) -> f64 {
         share(
@@ -82,36 +91,23 @@ pub struct Agreement {
 }
 
 impl Agreement {
-    /// The agreement of an output with the truth of the same size, in rows `from..to` of the truth; no output counts as
-    /// one without lane.
-    pub fn of_rows(answer: Option<&LaneMask>, truth: &LaneMask, from: usize, to: usize) -> Self {
-        let pixels = truth.width * from.min(truth.height)..truth.width * to.min(truth.height);
-        let judged = |lane: &[bool]| {
-            let all = lane.iter().enumerate();
-            all.map(|(pixel, &lane)| lane && pixels.contains(&pixel))
-                .collect::<Vec<bool>>()
-        };
-        let truth_lane = judged(&truth.lane);
-        let none = vec![false; truth_lane.len()];
-        let answer_lane = answer.map_or(none, |mask| judged(&mask.lane));
-        let count = |lane: &[bool], near: Option<&[bool]>| {
-            let near = |pixel: usize| near.is_none_or(|near| near[pixel]);
-            let all = lane.iter().enumerate();
-            all.filter(|&(pixel, &lane)| lane && near(pixel)).count() as u64
-        };
-        let near_truth = grown(&truth_lane, truth.width);
-        let near_answer = grown(&answer_lane, truth.width);
-        Self {
-            right: count(&answer_lane, Some(&near_truth)),
-            answer: count(&answer_lane, None),
-            found: count(&truth_lane, Some(&near_answer)),
-            truth: count(&truth_lane, None),
-        }
-    }
-
-    /// The agreement over all rows.
+    /// The agreement of an output with the truth of the same size; no output counts as one without lane.
     pub fn of(answer: Option<&LaneMask>, truth: &LaneMask) -> Self {
-        Self::of_rows(answer, truth, 0, truth.height)
+        let none = vec![false; truth.lane.len()];
+        let answer = answer.map_or(none.as_slice(), |mask| &mask.lane);
+        let near_truth = grown(&truth.lane, truth.width);
+        let near_answer = grown(answer, truth.width);
+        let lanes = |lane: &[bool]| lane.iter().filter(|&&lane| lane).count() as u64;
+        let shared = |lane: &[bool], near: &[bool]| {
+            let both = lane.iter().zip(near);
+            both.filter(|&(&lane, &near)| lane && near).count() as u64
+        };
+        Self {
+            right: shared(answer, &near_truth),
+            answer: lanes(answer),
+            found: shared(&truth.lane, &near_answer),
+            truth: lanes(&truth.lane),
+        }
     }
 
     /// The counts of all together.
@@ -186,20 +182,6 @@ pub struct Overlap {
 }
 
 impl Overlap {
-    /// The overlap of an output with the truth of the same size, in rows `from..to`.
-    pub fn of_rows(answer: &LaneMask, truth: &LaneMask, from: usize, to: usize) -> Self {
-        let rows = |mask: &LaneMask| {
-            let mut lane = vec![false; mask.lane.len()];
-            let own = mask.width * from.min(mask.height)..mask.width * to.min(mask.height);
-            lane[own.clone()].copy_from_slice(&mask.lane[own]);
-            LaneMask {
-                lane,
-                ..mask.clone()
-            }
-        };
-        Self::of(Some(&rows(answer)), &rows(truth))
-    }
-
     /// The overlap of an output with the truth of the same size; no output counts as one without lane.
     pub fn of(answer: Option<&LaneMask>, truth: &LaneMask) -> Self {
         let answer = answer.map_or(&[][..], |mask| &mask.lane);
@@ -306,7 +288,7 @@ mod tests {
         assert_eq!((half.precision(), half.recall()), (Some(1.0), Some(0.5)));
         assert!((half.f1().unwrap() - 2.0 / 3.0).abs() < 1e-12);
         // Rows outside do not count.
-        let two_rows = Agreement::of_rows(Some(&truth), &both, 1, 3);
+        let two_rows = Agreement::of(Some(&truth.in_rows(1, 3)), &both.in_rows(1, 3));
         assert_eq!((two_rows.answer, two_rows.found, two_rows.truth), (2, 2, 4));
         let pooled = Agreement::pooled([half, two_rows].into_iter());
         assert_eq!((pooled.answer, pooled.truth), (6, 12));

@@ -99,6 +99,10 @@ pub fn rows(drawn: &Drawn, built_in: &str) -> anyhow::Result<Vec<Row<RealLanes>>
     let frames = &drawn.lanes.frames;
     let total = frames.len() * drawn.models.len();
     let bar = progress::over(Some(total as u64), "real lanes", "pictures");
+    let pictures: Vec<Pixels> = frames
+        .iter()
+        .map(|drawing| drawn.pixels(drawing))
+        .collect::<anyhow::Result<_>>()?;
     let mut rows = Vec::new();
     for (spec, encoder) in &drawn.models {
         let default = encoder.sha256() == built_in;
@@ -106,9 +110,8 @@ pub fn rows(drawn: &Drawn, built_in: &str) -> anyhow::Result<Vec<Row<RealLanes>>
             .reference
             .check_fits("the reference", &ModelFingerprint::new(spec, encoder));
         let mut stage = EnergyStage::new(encoder, &spec.preprocessing)?;
-        for drawing in frames {
-            let pixels = drawn.pixels(drawing)?;
-            let judged = stage.energies_of(&pixels).map(|_| ());
+        for (drawing, pixels) in frames.iter().zip(&pictures) {
+            let judged = stage.energies_of(pixels).map(|_| ());
             judged.map_err(|why| anyhow::anyhow!("{}: {why}", drawing.image))?;
             let forecast = match &fits {
                 Ok(()) => {

@@ -185,14 +185,15 @@ impl RealLanes {
     pub fn of(model: &str, drawing: &Drawing, answer: &LaneMask, forecast: Option<f64>) -> Self {
         let truth = drawing.truth(answer.width, answer.height);
         let (from, to) = truth.rows;
+        let (answer, lanes) = (answer.in_rows(from, to), truth.lanes.in_rows(from, to));
         Self {
             model: model.to_owned(),
             set: drawing.set.clone(),
             image: drawing.image.clone(),
             frame: drawing.frame,
             t_s: drawing.t_s,
-            agreement: Agreement::of_rows(Some(answer), &truth.lanes, from, to),
-            overlap: Overlap::of_rows(answer, &truth.lanes, from, to),
+            agreement: Agreement::of(Some(&answer), &lanes),
+            overlap: Overlap::of(Some(&answer), &lanes),
             forecast,
         }
     }
@@ -242,7 +243,7 @@ pub struct Foretold {
 
 /// Judges forecasts of single pictures; intervals are from resampling blocks.
 pub fn foretold(rows: &[&RealLanes]) -> Foretold {
-    of_blocks(&in_blocks(rows))
+    of_blocks(&in_blocks(rows, RealLanes::forecast_and_loss))
 }
 
 /// Judges the means over blocks of 10 s.
@@ -252,15 +253,20 @@ pub fn foretold_by_block(rows: &[&RealLanes]) -> Foretold {
         let (a, b) = of.iter().fold((0.0, 0.0), |(a, b), p| (a + p.0, b + p.1));
         vec![(a / of.len() as f64, b / of.len() as f64)]
     };
-    of_blocks(&in_blocks(rows).into_iter().map(mean).collect::<Vec<_>>())
+    of_blocks(
+        &in_blocks(rows, RealLanes::forecast_and_loss)
+            .into_iter()
+            .map(mean)
+            .collect::<Vec<_>>(),
+    )
 }
 
-/// Forecasts and losses by block.
-fn in_blocks(rows: &[&RealLanes]) -> Vec<Vec<(f64, f64)>> {
-    let mut blocks: BTreeMap<(&str, i64), Vec<(f64, f64)>> = BTreeMap::new();
+/// What is known of some pictures, by block.
+fn in_blocks<T>(rows: &[&RealLanes], known: impl Fn(&RealLanes) -> Option<T>) -> Vec<Vec<T>> {
+    let mut blocks: BTreeMap<(&str, i64), Vec<T>> = BTreeMap::new();
     for row in rows {
-        if let Some(pair) = row.forecast_and_loss() {
-            blocks.entry(row.block()).or_default().push(pair);
+        if let Some(known) = known(row) {
+            blocks.entry(row.block()).or_default().push(known);
         }
     }
     blocks.into_values().collect()
@@ -301,11 +307,7 @@ fn error(pairs: &[(f64, f64)]) -> Option<f64> {
 
 /// Agreement of some pictures together, its F1 with an interval from resampling blocks, and their IoU.
 pub fn found(rows: &[&RealLanes]) -> (Agreement, Option<(f64, f64)>, Option<f64>) {
-    let mut blocks: BTreeMap<(&str, i64), Vec<Agreement>> = BTreeMap::new();
-    for row in rows {
-        blocks.entry(row.block()).or_default().push(row.agreement);
-    }
-    let blocks: Vec<Vec<Agreement>> = blocks.into_values().collect();
+    let blocks = in_blocks(rows, |row| Some(row.agreement));
     let mut dice = SplitMix64::new(0);
     let mut f1s = Vec::new();
     for _ in 0..if blocks.len() < 2 { 0 } else { ROUNDS } {
@@ -327,11 +329,9 @@ pub fn between_drawings(lanes: &DrawnLanes, width: usize, height: usize) -> Opti
         let again = again.truth(width, height);
         let from = once.rows.0.max(again.rows.0);
         let to = once.rows.1.min(again.rows.1);
-        Some(Agreement::of_rows(
-            Some(&again.lanes),
-            &once.lanes,
-            from,
-            to,
+        Some(Agreement::of(
+            Some(&again.lanes.in_rows(from, to)),
+            &once.lanes.in_rows(from, to),
         ))
     });
     Agreement::pooled(pairs).f1()
