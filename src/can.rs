@@ -19,7 +19,7 @@
 //!     reason: Reason::Abrupt,
 //!     gap_stored: true,
 //!     cause: Some(Cause::Fog),
-//!     score: Some(1.44),
+//!     gap: Some(1.44),
 //!     change: Some(0.5),
 //!     lanes: Some(0.25),
 //!     fault_detection_counter: 127,
