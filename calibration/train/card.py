@@ -41,7 +41,7 @@ class Card:
     learning_rate: float
     jitter: float
     varied: float
-    variation: float
+    variation: tuple[str, ...]
     sad_weight: float
     share_weights: bool
     lane_logit: float
@@ -81,7 +81,7 @@ class Card:
             else "off"
         )
         varied = (
-            f";\n  {self.varied * 100:g} % of the scenes varied towards real roads (`variation.py`, by {self.variation:g})"
+            f";\n  {self.varied * 100:g} % of the scenes varied towards real roads (`variation.py`: {', '.join(self.variation)})"
             if self.varied > 0
             else ""
         )

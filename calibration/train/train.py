@@ -42,7 +42,7 @@ from scenes import (
     sha256_of,
     training_batches,
 )
-from variation import Variation
+from variation import KINDS, Variation
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 # Seeds of the rendered sets. Nothing else in gapwatch may use the first one and call it unseen.
@@ -111,7 +111,8 @@ def parse_arguments() -> argparse.Namespace:
     parser.add_argument("--jitter", type=float, default=0.1, help="of brightness and colour")
     parser.add_argument("--varied", type=float, default=0.0,
                         help="share of the scenes that are varied towards real roads; 0 = none")
-    parser.add_argument("--variation", type=float, default=1.0, help="how much they are varied")
+    parser.add_argument("--variation", nargs="+", choices=KINDS, default=["camera", "clutter"],
+                        help="what is varied in them")
     parser.add_argument("--seed", type=int, default=1, help="of weights, order and augmentation")
     parser.add_argument("--threads", type=count_argument, default=os.cpu_count() or 1,
                         help="CPU threads")
@@ -233,7 +234,7 @@ def run(args: argparse.Namespace) -> None:
         learning_rate=args.learning_rate,
         jitter=args.jitter,
         varied=args.varied,
-        variation=args.variation,
+        variation=tuple(args.variation),
         sad_weight=args.sad_weight if args.sad else 0.0,
         share_weights=network.share_weights,
         lane_logit=lane_logit,
@@ -290,8 +291,8 @@ def check_settings(args: argparse.Namespace) -> None:
         raise SettingsError(f"--init {args.init}: no such file; its own training comes first")
     if args.minutes is not None and not args.minutes > 0:
         raise SettingsError("--minutes must be above 0")
-    if not 0 <= args.varied <= 1 or not 0 <= args.variation <= 2:
-        raise SettingsError("--varied is a share, 0 to 1, and --variation a factor, 0 to 2")
+    if not 0 <= args.varied <= 1:
+        raise SettingsError("--varied is a share, 0 to 1")
     if not 0 <= args.jitter < 1:
         raise SettingsError("--jitter is a share, 0 to below 1")
     if args.device == "cuda" and not torch.cuda.is_available():
@@ -356,7 +357,7 @@ def train(
         network.train()
         for batch in training_batches(
             training, normalisation, args.batch, args.jitter,
-            Variation(args.varied, args.variation), dice, device
+            Variation(args.varied, tuple(args.variation)), dice, device
         ):
             done = progress()
             if done >= 1:
@@ -404,8 +405,7 @@ def command_of(args: argparse.Namespace) -> str:
     words += ["--sad", "--sad-weight", f"{args.sad_weight:g}"] if args.sad else ["--no-sad"]
     if args.share_weights is not None:
         words.append("--share-weights" if args.share_weights else "--no-share-weights")
-    words += (["--varied", f"{args.varied:g}", "--variation", f"{args.variation:g}"]
-              if args.varied else [])
+    words += ["--varied", f"{args.varied:g}", "--variation", *args.variation] if args.varied else []
     words += ["--jitter", f"{args.jitter:g}", "--seed", str(args.seed)]
     words += ["--threads", str(args.threads), "--device", args.device]
     words += ["--precision", args.precision, "--name", args.name]

@@ -24,54 +24,49 @@ ROUGHNESS = 0.6
 GAMMA = 2.2
 
 
+# What can be varied, and how many of the varied scenes it changes.
+KINDS = {"camera": 0.8, "clutter": 0.6, "shade": 0.6, "light": 0.8, "lens": 0.35}
+
+
 @dataclass(frozen=True)
 class Variation:
-    """How much of the scenes is varied, and by how much: 0 = as rendered, 1 = the ranges below.
-
-    - `share`: share of the scenes that are varied at all
-    - `strength`: factor on all ranges and chances
-    """
+    """Which share of the scenes is varied (0 to 1), and in which of the `KINDS`."""
 
     share: float
-    strength: float
+    kinds: tuple[str, ...]
 
     def apply(self, images: Tensor, lanes: Tensor, dice: np.random.Generator) -> tuple[Tensor, Tensor]:
         """Varied copies of `images` `[N, 3, H, W]` (0 to 1) and `lanes` `[N, 1, H, W]` (0 or 1)."""
         images, lanes = images.clone(), lanes.clone()
         for index in np.flatnonzero(dice.random(len(images)) < self.share):
             image, lane = images[index], lanes[index]
-            if self._happens(dice, 0.8):
-                image, lane = another_camera(image, lane, self.strength, dice)
-            if self._happens(dice, 0.6):
+            if self._happens("camera", dice):
+                image, lane = another_camera(image, lane, dice)
+            if self._happens("clutter", dice):
                 image = clutter(image, lane, dice)
-            if self._happens(dice, 0.6):
+            if self._happens("shade", dice):
                 image = shade(image, dice)
-            if self._happens(dice, 0.8):
-                image = light(image, self.strength, dice)
-            if self._happens(dice, 0.3):
-                image = soften(image, dice.uniform(0.3, 0.9))
-            if self._happens(dice, 0.4):
-                noise = torch.from_numpy(dice.standard_normal(image.shape, np.float32))
-                image = image + noise.to(image.device) * dice.uniform(0.003, 0.02)
+            if self._happens("light", dice):
+                image = light(image, dice)
+            if self._happens("lens", dice):
+                image = lens(image, dice)
             images[index], lanes[index] = image.clamp(0, 1), lane
         return images, lanes
 
-    def _happens(self, dice: np.random.Generator, chance: float) -> bool:
-        return bool(dice.random() < min(chance * self.strength, 1.0))
+    def _happens(self, kind: str, dice: np.random.Generator) -> bool:
+        return kind in self.kinds and bool(dice.random() < KINDS[kind])
 
 
-def another_camera(
-    image: Tensor, lane: Tensor, strength: float, dice: np.random.Generator
-) -> tuple[Tensor, Tensor]:
+def another_camera(image: Tensor, lane: Tensor, dice: np.random.Generator) -> tuple[Tensor, Tensor]:
     """As another camera sees it: focal lengths of 0.70 to 1.35 and 0.70 to 1.42 times, vanishing point moved by up to a
     fifth of the width and a thirteenth of the height, rolled (2 degrees), on a road with another curve."""
     height, width = image.shape[-2:]
-    scale_x = math.exp(dice.uniform(-0.35, 0.30) * strength)
-    scale_y = math.exp(dice.uniform(-0.35, 0.35) * strength)
-    middle_x = width * (0.5 + dice.uniform(-0.19, 0.19) * strength)
-    middle_y = height * (HORIZON + dice.uniform(-0.075, 0.075) * strength)
-    roll = math.radians(dice.normal(0, 2.0) * strength)
-    curve = width * dice.normal(0, 0.11) * strength if dice.random() < 0.6 else 0.0
+    scale_x = math.exp(dice.uniform(-0.35, 0.30))
+    scale_y = math.exp(dice.uniform(-0.35, 0.35))
+    middle_x = width * (0.5 + dice.uniform(-0.19, 0.19))
+    middle_y = height * (HORIZON + dice.uniform(-0.075, 0.075))
+    roll = math.radians(dice.normal(0, 2.0))
+    curve = width * dice.normal(0, 0.11) if dice.random() < 0.6 else 0.0
     rows = torch.arange(height, device=image.device, dtype=torch.float32)[:, None] + 0.5
     columns = torch.arange(width, device=image.device, dtype=torch.float32)[None, :] + 0.5
     across, down = columns - middle_x, rows - middle_y
@@ -124,16 +119,22 @@ def shade(image: Tensor, dice: np.random.Generator) -> Tensor:
     return (image.clamp(min=0).pow(GAMMA) * kept).clamp(min=0).pow(1 / GAMMA)
 
 
-def light(image: Tensor, strength: float, dice: np.random.Generator) -> Tensor:
+def light(image: Tensor, dice: np.random.Generator) -> Tensor:
     """In another light: gamma 0.55 to 2.2, exposure 0.55 to 1.42, colours by 17 %, black by 6 %, and sometimes paler."""
-    gamma = math.exp(dice.uniform(-0.6, 0.8) * strength)
-    gain = math.exp(dice.uniform(-0.6, 0.35) * strength) * np.exp(dice.uniform(-0.18, 0.18, 3) * strength)
+    gamma = math.exp(dice.uniform(-0.6, 0.8))
+    gain = math.exp(dice.uniform(-0.6, 0.35)) * np.exp(dice.uniform(-0.18, 0.18, 3))
     gain = torch.tensor(gain, dtype=torch.float32, device=image.device)[:, None, None]
-    image = image.clamp(0, 1).pow(gamma) * gain + dice.uniform(-0.06, 0.06) * strength
-    if dice.random() < 0.3 * strength:
+    image = image.clamp(0, 1).pow(gamma) * gain + dice.uniform(-0.06, 0.06)
+    if dice.random() < 0.3:
         grey = image.mean(dim=0, keepdim=True)
         image = grey + (image - grey) * dice.uniform(0.2, 1.2)
     return image
+
+
+def lens(image: Tensor, dice: np.random.Generator) -> Tensor:
+    """Through a lens and a sensor that are not perfect: blurred by 0.3 to 0.9 pixels, noise of 0.003 to 0.02."""
+    noise = torch.from_numpy(dice.standard_normal(image.shape, np.float32)).to(image.device)
+    return soften(image, dice.uniform(0.3, 0.9)) + noise * dice.uniform(0.003, 0.02)
 
 
 def soften(image: Tensor, sigma: float) -> Tensor:
