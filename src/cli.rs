@@ -46,6 +46,9 @@ use crate::cli::args::Command;
 
 /// Runs a command; the result is the exit code.
 pub fn run(command: Command, out: &mut dyn Write) -> anyhow::Result<u8> {
+    if !stops_by_itself(&command) {
+        signals::end_cleanly()?;
+    }
     match command {
         Command::Replay(args) => replay::run(&args, out),
         Command::Monitor(args) => monitor::run(&args, out),
@@ -65,5 +68,15 @@ pub fn run(command: Command, out: &mut dyn Write) -> anyhow::Result<u8> {
         Command::Bench(args) => bench::run(&args, out),
         Command::Doctor(args) => doctor::run(&args, out),
         Command::PackageFiles(args) => package_files::run(&args, out),
+    }
+}
+
+/// Whether a command keeps what it has so far when a signal stops it.
+fn stops_by_itself(command: &Command) -> bool {
+    match command {
+        Command::Replay(_) | Command::Monitor(_) => true,
+        #[cfg(feature = "lab")]
+        Command::Scene(_) | Command::Inspect(_) => true,
+        _ => false,
     }
 }

@@ -4,6 +4,7 @@ pub mod durable;
 pub mod live_file;
 pub mod output;
 pub mod temporary_folder;
+pub mod unfinished;
 pub mod whole_file;
 
 pub mod json_fault;

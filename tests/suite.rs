@@ -20,6 +20,7 @@ mod merge;
 mod monitor;
 mod oracle;
 mod oracle_spans;
+mod outputs;
 mod power_cuts;
 mod python;
 mod recording;

@@ -17,7 +17,7 @@ use gapwatch::statistics::event_rate::{Hours, Loudness, ThreeDigits};
 
 use super::calibration_plan::{CalibrationPlan, Found, PlannedDrive, Widened};
 use super::loaded_model::LoadedModel;
-use super::output::check_is_no_input;
+use super::output::{Kind, check_output};
 use crate::cli::args::CalibrateArgs;
 
 pub fn run(args: &CalibrateArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
@@ -102,7 +102,9 @@ fn check_out(args: &CalibrateArgs) -> anyhow::Result<()> {
     let files = files
         .iter()
         .filter_map(|(option, file)| Some((*option, file.as_ref()?.to_str()?)));
-    check_is_no_input(&args.out, typed.chain(named).chain(files))
+    let base = args.base.iter().map(|base| ("--base", base.as_str()));
+    let inputs = typed.chain(named).chain(files).chain(base);
+    check_output("--out", &args.out, Kind::Reference, inputs)
 }
 
 fn sources(args: &CalibrateArgs) -> anyhow::Result<Vec<PlannedDrive>> {

@@ -12,6 +12,7 @@ use gapwatch::lab::comparison::{Comparisons, ImageSet, Row, compare};
 use serde_json::{Map, Value, json};
 
 use super::loaded_model::LoadedModel;
+use super::output::{Kind, check_output};
 use crate::cli::args::{CompareArgs, Format};
 
 pub fn run(args: &CompareArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
@@ -26,6 +27,17 @@ pub fn run(args: &CompareArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
             paper.levels,
             paper.first
         );
+    }
+    let model = args.model.model.iter();
+    let inputs = model.filter_map(|file| Some(("--model", file.to_str()?)));
+    let sources = args.sources.iter().map(|name| ("compare", name.as_str()));
+    if let Some(file) = &args.histograms {
+        check_output(
+            "--histograms",
+            file,
+            Kind::Histograms,
+            inputs.chain(sources),
+        )?;
     }
     let histograms = match &args.histograms {
         Some(path) => {

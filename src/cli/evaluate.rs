@@ -26,6 +26,7 @@ use gapwatch::model::encoder::Encoder;
 use gapwatch::model::{ModelOptions, ModelSpec};
 use serde::de::DeserializeOwned;
 
+use super::output::{Kind, check_output};
 use crate::cli::args::{EvaluateArgs, EvaluateKey, ResultsFormat};
 use field::Field;
 use results::{Results, Row, Store};
@@ -125,6 +126,9 @@ pub fn run(args: &EvaluateArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
     } else {
         Vec::new()
     };
+    if let Some(file) = &args.plot {
+        check_output("--plot", file, Kind::Chart, [])?;
+    }
     let store = args.out.as_deref().map(Store::open).transpose()?;
     if args.field.is_none() && args.only.is_none() {
         log::warn!(

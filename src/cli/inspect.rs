@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::fs;
 use std::io::Write;
+use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 use anyhow::{Context, bail};
@@ -24,7 +25,7 @@ use serde::Serialize;
 
 use super::new_folder::NewFolder;
 use super::pictures::write_png;
-use super::progress;
+use super::{progress, signals};
 use crate::cli::args::InspectArgs;
 
 /// Panels of a sheet are enlarged by a whole factor to at least this width, pixels.
@@ -106,11 +107,14 @@ pub fn run(args: &InspectArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
     if wanted == 0 {
         bail!("{}: it has no frames", args.source);
     }
+    let stop = signals::stop()?;
     let folder = NewFolder::beside(&args.out)?;
     let mut source = open(&args.source)?;
     let bar = progress::frames(Some(total), "inspecting");
     let mut frames: Vec<Inspected> = Vec::new();
-    while let Some(frame) = source.next_frame()? {
+    while !stop.load(Ordering::Relaxed)
+        && let Some(frame) = source.next_frame()?
+    {
         // The chosen frames are evenly spread: frame i of n is taken where i * wanted / n steps up.
         let chosen = frame.sequence * wanted % total < wanted;
         if chosen {
@@ -135,6 +139,13 @@ pub fn run(args: &InspectArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
     let file = folder.path().join("inspect.json");
     fs::write(&file, json).with_context(|| format!("cannot write {}", file.display()))?;
     folder.keep()?;
+    if stop.load(Ordering::Relaxed) {
+        bail!(
+            "{}: stopped by a signal; it has {} of {wanted} frames, which are complete",
+            args.out.display(),
+            inspection.frames.len()
+        );
+    }
     let sheets = inspection.frames.iter().filter(|f| f.sheet.is_some());
     writeln!(
         out,

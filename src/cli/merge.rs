@@ -14,9 +14,14 @@ use gapwatch::reference::{JudgedRate, Role};
 use super::calibrate::describe;
 use super::calibration_plan::{CalibrationPlan, PlannedDrive};
 use super::loaded_model::LoadedModel;
+use super::output::{Kind, check_output};
 use crate::cli::args::MergeArgs;
 
 pub fn run(args: &MergeArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
+    let files = args.files.iter().map(|file| ("merge", file));
+    let files = files.chain(args.model.model.iter().map(|file| ("--model", file)));
+    let inputs = files.filter_map(|(option, file)| Some((option, file.to_str()?)));
+    check_output("--out", &args.out, Kind::Reference, inputs)?;
     let parts = args
         .files
         .iter()

@@ -33,6 +33,7 @@ use gapwatch::reference::Reference;
 use super::board_settings::{other_rate, periods, read_reference, warn_on};
 use super::live::Live;
 use super::loaded_model::LoadedModel;
+use super::output::{Kind, check_live_output};
 use super::state_lines::{evidence_line, state_line};
 use super::{service, signals};
 use crate::cli::args::MonitorArgs;
@@ -48,6 +49,7 @@ pub fn run(args: &MonitorArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
     let mut nowhere = std::io::sink();
     let out: &mut dyn Write = if args.quiet { &mut nowhere } else { out };
     let board = Board::read(&args.board)?;
+    check_outputs(args, &board)?;
     let model = LoadedModel::load_file(board.monitor.model.as_deref(), ModelOptions::default())?;
     let reference = read_reference(&board)?;
     let name = board.monitor.reference.as_deref();
@@ -137,6 +139,30 @@ pub fn run(args: &MonitorArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
         evidence_line(kept, out)?;
     }
     Ok(0)
+}
+
+/// Checks that the outputs are no inputs and no files of another kind.
+fn check_outputs(args: &MonitorArgs, board: &Board) -> anyhow::Result<()> {
+    let files = [
+        ("--board", Some(&args.board)),
+        ("the board's reference", board.monitor.reference.as_ref()),
+        ("the board's model", board.monitor.model.as_ref()),
+    ];
+    let files = files
+        .iter()
+        .filter_map(|(what, file)| Some((*what, file.as_ref()?.to_str()?)));
+    let inputs: Vec<_> = files
+        .chain([("the board's source", board.camera.source.as_str())])
+        .collect();
+    if let Some(file) = &args.journal {
+        check_live_output("--journal", file, Kind::Journal, &inputs)?;
+    }
+    match &board.can.sink {
+        Sink::LogFile(file) => {
+            check_live_output("the board's CAN log", file, Kind::CanLog, &inputs)
+        }
+        _ => Ok(()),
+    }
 }
 
 /// Keeps evidence if the command line or the board asks for it. If the disk accepts no evidence, no verdict is lost.

@@ -1,41 +1,138 @@
-//! Files that a command writes never replace what it reads.
+//! Files that a command writes replace neither what it reads, nor files of another kind.
 
+use std::fs::File;
+use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use anyhow::bail;
 
-/// Refuses an output that is one of the inputs, or that exists inside a folder which is an input, also if one of them is a
-/// link to the other. `inputs` are the option
-/// and the name of each: sources as typed, with what may follow `?`, and other files and folders. Names that are no
-/// files, such as rendered drives, are passed over.
+/// Bytes at the beginning of a file by which its kind is known.
+const HEAD: u64 = 1_024;
+
+/// A kind of file that gapwatch writes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kind {
+    Journal,
+    CanLog,
+    /// An MCAP recording of gapwatch; those of other programs are no file of ours.
+    Recording,
+    Reference,
+    #[cfg(feature = "lab")]
+    Report,
+    #[cfg(feature = "lab")]
+    Chart,
+    #[cfg(feature = "lab")]
+    Histograms,
+}
+
+impl Kind {
+    fn name(self) -> &'static str {
+        match self {
+            Self::Journal => "a journal",
+            Self::CanLog => "a CAN log",
+            Self::Recording => "a recording written by gapwatch",
+            Self::Reference => "a reference or shard",
+            #[cfg(feature = "lab")]
+            Self::Report => "a report",
+            #[cfg(feature = "lab")]
+            Self::Chart => "a chart in SVG",
+            #[cfg(feature = "lab")]
+            Self::Histograms => "histograms in JSON",
+        }
+    }
+
+    /// Whether a file that begins like this is of this kind, of any version.
+    fn begins(self, head: &[u8]) -> bool {
+        let text = String::from_utf8_lossy(head);
+        let text = text.trim_start_matches('\u{feff}').trim_start();
+        match self {
+            Self::Journal => text.starts_with("{\"gapwatch_journal\""),
+            Self::CanLog => {
+                let stamp = text.strip_prefix('(').and_then(|rest| rest.split_once(')'));
+                stamp.is_some_and(|(stamp, _)| stamp.parse::<f64>().is_ok())
+            }
+            Self::Recording => head.starts_with(b"\x89MCAP0\r\n") && text.contains("gapwatch "),
+            Self::Reference => {
+                text.starts_with('{')
+                    && ["\"gapwatch-reference\"", "\"gapwatch-shard\""]
+                        .iter()
+                        .any(|format| text.contains(format))
+            }
+            #[cfg(feature = "lab")]
+            Self::Report => text.starts_with("<!DOCTYPE html>") && text.contains("gapwatch"),
+            #[cfg(feature = "lab")]
+            Self::Chart => text.starts_with("<svg"),
+            #[cfg(feature = "lab")]
+            Self::Histograms => text.starts_with("[{\"set\"") || text.trim_end() == "[]",
+        }
+    }
+}
+
+/// Refuses an output that would replace an input, or a file of another kind. Empty files, devices and pipes are taken.
+///
+/// `inputs` are an option (or what else names the input) and a name of each: sources as typed, with what may follow `?`,
+/// and other files and folders. Names that are no files, such as rendered drives, are passed over.
 ///
 /// # Errors
-/// When writing `out` would destroy an input.
-pub fn check_is_no_input<'a>(
+/// When writing `out` would destroy something.
+pub fn check_output<'a>(
+    option: &str,
     out: &Path,
+    kind: Kind,
     inputs: impl IntoIterator<Item = (&'a str, &'a str)>,
 ) -> anyhow::Result<()> {
-    // A file that does not exist cannot be an input.
+    // A file that does not exist can be neither.
     let Ok(place) = out.canonicalize() else {
         return Ok(());
     };
-    for (option, name) in inputs {
+    for (input_option, name) in inputs {
         for input in paths_of(name) {
             if input == place {
                 bail!(
-                    "{}: --out is a source of {option}, which would be lost; wanted another name",
+                    "{}: {option} is what {input_option} reads, which would be lost; wanted another name",
                     out.display()
                 );
             }
             if input.is_dir() && is_inside(&input, out, &place) {
                 bail!(
-                    "{}: --out is a file in {name}, a folder of {option}; wanted a name outside of it",
+                    "{}: {option} is a file in {name}, a folder of {input_option}; wanted a name outside of it",
                     out.display()
                 );
             }
         }
     }
+    if place.is_file() && !has_kind(&place, kind) {
+        bail!(
+            "{}: {option} exists and is not {}, and would be lost; wanted another name",
+            out.display(),
+            kind.name()
+        );
+    }
     Ok(())
+}
+
+/// Like [`check_output`], for a file beside which the earlier one is kept as `NAME.1`.
+///
+/// # Errors
+/// When writing `out` would destroy something.
+pub fn check_live_output(
+    option: &str,
+    out: &Path,
+    kind: Kind,
+    inputs: &[(&str, &str)],
+) -> anyhow::Result<()> {
+    let mut earlier = out.as_os_str().to_owned();
+    earlier.push(".1");
+    check_output(option, Path::new(&earlier), kind, inputs.iter().copied())?;
+    check_output(option, out, kind, inputs.iter().copied())
+}
+
+/// Whether a file may be replaced by one of this kind. A file that cannot be read is left to its writer. A file whose
+/// beginning is all zeros was cut off by a loss of power, and holds nothing.
+fn has_kind(place: &Path, kind: Kind) -> bool {
+    let mut head = Vec::new();
+    let read = File::open(place).and_then(|file| file.take(HEAD).read_to_end(&mut head));
+    read.is_err() || head.iter().all(|&byte| byte == 0) || kind.begins(&head)
 }
 
 /// Whether an output, which is at `place`, is in a folder: by its own name, or by that of what it links to, or because a
@@ -72,14 +169,16 @@ mod tests {
         let at = |name: &str| folder.path().join(name);
         fs::create_dir(at("road")).unwrap();
         for file in ["road.mp4", "road/1.png", "other.json"] {
-            fs::write(at(file), "1").unwrap();
+            fs::write(at(file), "{\"format\":\"gapwatch-reference\"").unwrap();
         }
         std::os::unix::fs::symlink(at("road.mp4"), at("link.mp4")).unwrap();
-        fs::write(at("elsewhere.png"), "1").unwrap();
+        fs::write(at("elsewhere.png"), "").unwrap();
         std::os::unix::fs::symlink(at("elsewhere.png"), at("road/2.png")).unwrap();
         let text = |path: PathBuf| path.to_str().unwrap().to_owned();
         let refused = |out: &str, input: &str| {
-            check_is_no_input(&at(out), [("--sim", text(at(input)).as_str())]).is_err()
+            let inputs = [("--sim", text(at(input)))];
+            let inputs = inputs.iter().map(|(option, name)| (*option, name.as_str()));
+            check_output("--out", &at(out), Kind::Reference, inputs).is_err()
         };
         for (out, input) in [
             ("road.mp4", "road.mp4"),
@@ -101,6 +200,55 @@ mod tests {
         ] {
             assert!(!refused(out, input), "{out} beside {input}");
         }
-        assert!(check_is_no_input(&at("other.json"), [("--sim", "scene:sim?seed=1")]).is_ok());
+        let rendered = [("--sim", "scene:sim?seed=1")];
+        assert!(check_output("--out", &at("other.json"), Kind::Reference, rendered).is_ok());
+    }
+
+    #[test]
+    fn a_file_is_replaced_by_one_of_its_own_kind_alone() {
+        let folder = tempfile::tempdir().unwrap();
+        let place = folder.path().join("out");
+        let heads: [(&[u8], Option<Kind>); 11] = [
+            (b"{\"gapwatch_journal\":1,", Some(Kind::Journal)),
+            (b"\xef\xbb\xbf{\"gapwatch_journal\":4,", Some(Kind::Journal)),
+            (b"(0000000000.000000) can0 5D0#68", Some(Kind::CanLog)),
+            (
+                b"\x89MCAP0\r\n\x01\x16\0\0\0\0\0\0\0\x0egapwatch 0.1.0",
+                Some(Kind::Recording),
+            ),
+            (b"\x89MCAP0\r\n\x01\x16\0\0\0\0\0\0\0\x0elibmcap 1.2", None),
+            (
+                b"{\n  \"format\": \"gapwatch-reference\",",
+                Some(Kind::Reference),
+            ),
+            (b"{\"format\":\"gapwatch-shard\",", Some(Kind::Reference)),
+            (b"{\"format\":\"other\",", None),
+            (b"\x89PNG\r\n", None),
+            (b"(see notes) can0", None),
+            (b"text", None),
+        ];
+        for (head, own) in heads {
+            fs::write(&place, head).unwrap();
+            for kind in [
+                Kind::Journal,
+                Kind::CanLog,
+                Kind::Recording,
+                Kind::Reference,
+            ] {
+                let taken = check_output("--out", &place, kind, []).is_ok();
+                assert_eq!(
+                    taken,
+                    own == Some(kind),
+                    "{kind:?} over {}",
+                    head.escape_ascii()
+                );
+            }
+            assert_eq!(fs::read(&place).unwrap(), head);
+        }
+        for nothing in [vec![], vec![0; 4_096]] {
+            fs::write(&place, nothing).unwrap();
+            assert!(check_output("--out", &place, Kind::Journal, []).is_ok());
+        }
+        assert!(check_output("--out", Path::new("/dev/null"), Kind::Journal, []).is_ok());
     }
 }

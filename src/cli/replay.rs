@@ -2,6 +2,7 @@
 
 use std::collections::{BTreeMap, HashSet};
 use std::io::Write;
+use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
@@ -22,6 +23,7 @@ use gapwatch::reference::Reference;
 use super::board_settings::accepting;
 use super::live::Live;
 use super::loaded_model::LoadedModel;
+use super::output::{Kind, check_output};
 use super::signals;
 use super::state_lines::{evidence_line, state_line};
 use crate::cli::args::{ReplayArgs, Speed};
@@ -152,22 +154,38 @@ fn first(troubles: Vec<OutputError>) -> anyhow::Result<()> {
         .map_or(Ok(()), |trouble| Err(trouble.into()))
 }
 
-/// Checks that every output has a file of its own.
+/// Checks that every output has a file of its own, which is no input and no file of another kind.
 fn check_outputs(args: &ReplayArgs) -> anyhow::Result<()> {
     let log = match &args.can {
         Sink::LogFile(log) => Some(log),
         _ => None,
     };
+    let text = |file: &'_ Option<PathBuf>| {
+        file.as_ref()
+            .and_then(|file| file.to_str().map(str::to_owned))
+    };
+    let inputs = [
+        ("the source", args.source.clone()),
+        ("--reference", text(&args.reference)),
+        ("--model", text(&args.model.model)),
+    ];
     let mut files = HashSet::new();
-    for file in [log, args.journal.as_ref(), args.mcap.as_ref()] {
-        if let Some(file) = file
-            && !files.insert(std::path::absolute(file)?)
-        {
+    for (option, kind, file) in [
+        ("--can", Kind::CanLog, log),
+        ("--journal", Kind::Journal, args.journal.as_ref()),
+        ("--mcap", Kind::Recording, args.mcap.as_ref()),
+    ] {
+        let Some(file) = file else { continue };
+        let place = file.canonicalize().or_else(|_| std::path::absolute(file))?;
+        if !files.insert(place) {
             bail!(
                 "{}: wanted a file of its own for each of CAN log, journal and MCAP recording",
                 file.display()
             );
         }
+        let inputs = inputs.iter();
+        let inputs = inputs.filter_map(|(option, name)| Some((*option, name.as_deref()?)));
+        check_output(option, file, kind, inputs)?;
     }
     Ok(())
 }

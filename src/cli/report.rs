@@ -2,23 +2,20 @@
 
 use std::io::Write;
 
-use anyhow::{Context, bail};
+use anyhow::Context;
 use gapwatch::files::whole_file::WholeFile;
 use gapwatch::lab::report::Report;
 use gapwatch::monitor::alarm::AlarmState;
 use gapwatch::record::journal;
 
+use super::output::{Kind, check_output};
 use crate::cli::args::ReportArgs;
 
 pub fn run(args: &ReportArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
-    if let (Ok(journal), Ok(page)) = (args.journal.canonicalize(), args.out.canonicalize())
-        && journal == page
-    {
-        bail!(
-            "{}: is the journal; wanted another file for the report",
-            args.out.display()
-        );
-    }
+    let inputs = [Some(&args.journal), args.evidence.as_ref()];
+    let inputs = inputs.into_iter().flatten();
+    let inputs = inputs.filter_map(|input| Some(("the report", input.to_str()?)));
+    check_output("--out", &args.out, Kind::Report, inputs)?;
     let mut report = Report::new(journal::read(&args.journal)?);
     if let Some(folder) = &args.evidence {
         report.show(folder)?;

@@ -3,6 +3,7 @@
 use std::fs;
 use std::io::Write;
 use std::path::Path;
+use std::sync::atomic::Ordering;
 
 use anyhow::{Context, bail};
 use gapwatch::lab::scene::{
@@ -15,7 +16,7 @@ use sha2::{Digest, Sha256};
 
 use super::new_folder::NewFolder;
 use super::pictures::write_png;
-use super::progress;
+use super::{progress, signals};
 use crate::cli::args::{SceneArgs, SceneList};
 
 /// One line of `scenes.jsonl`.
@@ -50,6 +51,7 @@ pub fn run(args: &SceneArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
             "condition {timed}: a scene is a single moment; wanted KIND:SEVERITY without @FROM-TO"
         );
     }
+    let stop = signals::stop()?;
     let folder = NewFolder::beside(target)?;
     for part in ["frames", "masks"] {
         let path = folder.path().join(part);
@@ -61,15 +63,27 @@ pub fn run(args: &SceneArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
         .map_init(
             || Renderer::new(args.size.width, args.size.height),
             |renderer, index| {
+                if stop.load(Ordering::Relaxed) {
+                    return Ok(None);
+                }
                 bar.inc(1);
-                render_scene(args, index, renderer, folder.path())
+                render_scene(args, index, renderer, folder.path()).map(Some)
             },
         )
+        .filter_map(Result::transpose)
         .collect::<anyhow::Result<Vec<_>>>()?;
     bar.finish_and_clear();
     let list = folder.path().join("scenes.jsonl");
     fs::write(&list, lines.concat()).with_context(|| format!("cannot write {}", list.display()))?;
     folder.keep()?;
+    if lines.len() < args.count as usize {
+        bail!(
+            "{}: stopped by a signal after {} of {} scenes; those in scenes.jsonl are complete",
+            target.display(),
+            lines.len(),
+            args.count
+        );
+    }
     writeln!(
         out,
         "{} scenes of {}x{} in {}",

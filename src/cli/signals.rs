@@ -1,12 +1,15 @@
-//! SIGINT, SIGTERM and SIGHUP: the first signal asks the program to end cleanly, the second one ends it at once.
+//! SIGINT, SIGTERM and SIGHUP: the first signal asks the program to end cleanly, the second one ends it at once. Commands
+//! whose result is whole or nothing end with the first one.
 
 use std::fs;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 use anyhow::Context;
+use gapwatch::files::unfinished;
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use signal_hook::flag;
+use signal_hook::iterator::Signals;
 
 /// Becomes true with the first signal.
 pub fn stop() -> anyhow::Result<Arc<AtomicBool>> {
@@ -22,6 +25,25 @@ pub fn stop() -> anyhow::Result<Arc<AtomicBool>> {
             .context("cannot wait for signals")?;
     }
     Ok(stop)
+}
+
+/// Ends the program with the first signal, and removes what has a temporary name until then.
+pub fn end_cleanly() -> anyhow::Result<()> {
+    let waited = [SIGTERM, SIGINT, SIGHUP];
+    let waited = waited
+        .into_iter()
+        .filter(|&signal| signal != SIGHUP || !is_ignored(signal));
+    let mut signals = Signals::new(waited).context("cannot wait for signals")?;
+    std::thread::Builder::new()
+        .name("signals".to_owned())
+        .spawn(move || {
+            if let Some(signal) = signals.forever().next() {
+                unfinished::remove_all();
+                std::process::exit(128 + signal);
+            }
+        })
+        .context("cannot wait for signals")?;
+    Ok(())
 }
 
 fn is_ignored(signal: i32) -> bool {

@@ -8,6 +8,8 @@ use std::time::{Duration, SystemTime};
 
 use tempfile::TempDir;
 
+use crate::files::unfinished::Unfinished;
+
 /// Number of random characters at the end of a name.
 const RANDOM: usize = 6;
 /// A folder younger than this may belong to a program that has not locked it yet.
@@ -18,6 +20,7 @@ pub struct TemporaryFolder {
     folder: TempDir,
     /// The folder, which is locked as long as this program runs.
     _lock: File,
+    _unfinished: Unfinished,
 }
 
 impl TemporaryFolder {
@@ -33,6 +36,7 @@ impl TemporaryFolder {
             .rand_bytes(RANDOM)
             .permissions(PermissionsExt::from_mode(mode))
             .tempdir_in(parent)?;
+        let unfinished = Unfinished::note(folder.path());
         let lock = File::open(folder.path())?;
         // If locks do not work there, no folder is found unlocked, and old folders stay.
         if let Err(TryLockError::Error(error)) = lock.try_lock_shared() {
@@ -41,6 +45,7 @@ impl TemporaryFolder {
         Ok(Self {
             folder,
             _lock: lock,
+            _unfinished: unfinished,
         })
     }
 

@@ -10,6 +10,7 @@ use rustix::fs::{AtFlags, CWD, Mode, OFlags, linkat};
 use tempfile::TempPath;
 
 use crate::files::durable::{folder_of, sync, sync_folder};
+use crate::files::unfinished::Unfinished;
 
 /// Beginning of the temporary names of files while they are put in place.
 const PREFIX: &str = ".gapwatch-";
@@ -46,7 +47,7 @@ enum Target {
     Beside {
         file: BufWriter<File>,
         /// `None` for a file without a name.
-        name: Option<TempPath>,
+        name: Option<(TempPath, Unfinished)>,
         place: PathBuf,
     },
     /// A device or pipe, which must not be replaced.
@@ -86,7 +87,8 @@ impl WholeFile {
                     .tempfile_in(folder)
                     .map_err(|error| unnamed(&error))?;
                 let (file, name) = named.into_parts();
-                (file, Some(name))
+                let unfinished = Unfinished::note(&name);
+                (file, Some((name, unfinished)))
             }
         };
         Ok(Self(Target::Beside {
@@ -106,7 +108,7 @@ impl WholeFile {
                 let file = file.into_inner().map_err(io::IntoInnerError::into_error)?;
                 sync(&file)?;
                 let folder = folder_of(&place);
-                let name = name.map_or_else(|| named(&file, folder), Ok)?;
+                let (name, _unfinished) = name.map_or_else(|| named(&file, folder), Ok)?;
                 name.persist(&place).map_err(|error| error.error)?;
                 sync_folder(folder)
             }
@@ -129,14 +131,14 @@ fn name_of_open(file: &File) -> PathBuf {
 }
 
 /// Gives a file without a name a name in `folder`.
-fn named(file: &File, folder: &Path) -> io::Result<TempPath> {
+fn named(file: &File, folder: &Path) -> io::Result<(TempPath, Unfinished)> {
     let open = name_of_open(file);
     let link = |name: &Path| Ok(linkat(CWD, &open, CWD, name, AtFlags::SYMLINK_FOLLOW)?);
     let mut builder = tempfile::Builder::new();
-    Ok(builder
-        .prefix(PREFIX)
-        .make_in(folder, link)?
-        .into_temp_path())
+    let name = builder.prefix(PREFIX).make_in(folder, link)?;
+    let name = name.into_temp_path();
+    let unfinished = Unfinished::note(&name);
+    Ok((name, unfinished))
 }
 
 impl Write for WholeFile {
