@@ -288,7 +288,8 @@ fn a_signal_leaves_no_temporary_files_of_a_calibration() {
         "r.json",
     ];
     let ended = interrupted(folder.path(), &args, begun);
-    assert_eq!(ended.code, 130, "{}", ended.err);
+    // Ended by the signal, without an exit code.
+    assert_eq!((ended.code, ended.err.as_str()), (-1, ""));
     assert_eq!(files(folder.path()), []);
     assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 0);
 }

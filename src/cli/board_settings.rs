@@ -63,11 +63,13 @@ pub fn warn_on(board: &Board, reference: &Reference, file: &Path) -> anyhow::Res
 
 /// The command that makes a reference which accepts a road, from one that is made of simulation alone.
 pub fn accepting(reference: &Reference, file: Option<&Path>, road: Option<&str>) -> String {
-    let road = road.map_or_else(|| "ROAD".to_owned(), quoted);
-    let from = if reference.metric == Metric::Mahalanobis {
-        format!("--base {}", quoted(&Reference::name_of(file)))
-    } else {
-        format!("--metric {} --sim SIMULATION", reference.metric)
-    };
-    format!("gapwatch calibrate {from} --accept {road} --out my-roads.json")
+    let road = road.unwrap_or("ROAD");
+    if reference.metric == Metric::Mahalanobis {
+        return Reference::accepting_command(&Reference::name_of(file), road);
+    }
+    format!(
+        "gapwatch calibrate --metric {} --sim SIMULATION --accept {} --out my-roads.json",
+        reference.metric,
+        quoted(road)
+    )
 }

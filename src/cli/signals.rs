@@ -10,6 +10,7 @@ use gapwatch::files::unfinished;
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use signal_hook::flag;
 use signal_hook::iterator::Signals;
+use signal_hook::low_level::emulate_default_handler;
 
 /// Becomes true with the first signal.
 pub fn stop() -> anyhow::Result<Arc<AtomicBool>> {
@@ -39,7 +40,9 @@ pub fn end_cleanly() -> anyhow::Result<()> {
         .spawn(move || {
             if let Some(signal) = signals.forever().next() {
                 unfinished::remove_all();
-                std::process::exit(128 + signal);
+                if let Err(error) = emulate_default_handler(signal) {
+                    log::error!("cannot end by signal {signal}: {error}");
+                }
             }
         })
         .context("cannot wait for signals")?;

@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
 use crate::files::json_fault::fault;
+use crate::files::shell::quoted;
 use crate::files::whole_file::{WholeFile, read_whole};
 use crate::model::ModelSpec;
 use crate::model::encoder::Encoder;
@@ -376,6 +377,13 @@ impl Reference {
             || Self::BUILT_IN.to_owned(),
             |path| path.display().to_string(),
         )
+    }
+
+    /// The command that makes a reference which accepts a road (a source as it is typed) beside what the reference of this
+    /// name knows.
+    pub fn accepting_command(name: &str, road: &str) -> String {
+        let [name, road] = [name, road].map(quoted);
+        format!("gapwatch calibrate --base {name} --accept {road} --out my-roads.json")
     }
 
     /// Reads a file, or the reference inside the program, and checks that it is whole.

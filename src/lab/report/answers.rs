@@ -7,9 +7,9 @@ use super::table::Column::{Numbers, Words};
 use super::table::head;
 use super::text::{Number, Percent};
 use crate::capture::is_rendered;
-use crate::files::shell::quoted;
 use crate::monitor::warn::{Answer, LANES_LOST};
 use crate::record::journal::{About, Entry};
+use crate::reference::Reference;
 use crate::statistics::quantile::median;
 
 /// A row for each answer that the journal has.
@@ -60,13 +60,7 @@ pub fn strict_note(about: &About) -> Option<String> {
 fn accepting(about: &About) -> Option<String> {
     let can = about.metric == "mahalanobis" && !about.source.is_empty();
     let road = if about.live { "ROAD" } else { &about.source };
-    can.then(|| {
-        format!(
-            "gapwatch calibrate --base {} --accept {} --out my-roads.json",
-            quoted(&about.reference),
-            quoted(road)
-        )
-    })
+    can.then(|| Reference::accepting_command(&about.reference, road))
 }
 
 fn question(answer: Answer) -> &'static str {
