@@ -72,6 +72,14 @@ impl ImageSource {
         }
         let order = NameOrder::of(images.iter().map(|(stem, _)| stem.as_str()));
         images.sort_by_cached_key(|(stem, path)| (order.key(stem), path.clone()));
+        if let Some(kinds) = kinds_in_turn(images.iter().map(|(stem, _)| stem.as_str())) {
+            log::warn!(
+                "{}: images of {} kinds take turns ({}) and are read as one drive; give each kind a folder of its own",
+                folder.display(),
+                kinds.len(),
+                kinds.join(", ")
+            );
+        }
         let paths = images.into_iter().map(|(_, path)| path).collect();
         Ok(Self {
             paths,
@@ -109,6 +117,23 @@ fn read(path: &Path) -> Result<Picture, String> {
     decoded(&fs::read(path).map_err(|error| error.to_string())?)
 }
 
+/// Largest number of cameras, or kinds of pictures, that are looked for.
+const KINDS_MAX: usize = 8;
+
+/// The first of each kind, if names of some kinds take turns in their order, as `0_depth`, `0_rgb`, `1_depth`, `1_rgb`.
+fn kinds_in_turn<'a>(sorted: impl Iterator<Item = &'a str>) -> Option<Vec<&'a str>> {
+    let names: Vec<&str> = sorted.collect();
+    let kind = |name: &str| name.replace(|digit: char| digit.is_ascii_digit(), "");
+    let kinds: Vec<String> = names.iter().map(|name| kind(name)).collect();
+    let again = kinds.iter().skip(1).position(|of| *of == kinds[0])? + 1;
+    let in_turn = kinds.len().is_multiple_of(again)
+        && kinds
+            .iter()
+            .zip(kinds.iter().skip(again))
+            .all(|(a, b)| a == b);
+    ((2..=KINDS_MAX).contains(&again) && in_turn).then(|| names[..again].to_vec())
+}
+
 /// What is in a folder without images: a folder inside it, or its largest kind of files.
 fn holds(mut folders: Vec<String>, others: &BTreeMap<String, u32>) -> String {
     folders.sort_unstable();
@@ -128,6 +153,22 @@ fn holds(mut folders: Vec<String>, others: &BTreeMap<String, u32>) -> String {
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
+
+    #[test]
+    fn kinds_of_images_that_take_turns_are_noticed() {
+        let kinds = |names: &[&str]| kinds_in_turn(names.iter().copied()).map(|kinds| kinds.len());
+        assert_eq!(kinds(&["0_depth", "0_rgb", "1_depth", "1_rgb"]), Some(2));
+        assert_eq!(kinds(&["a1", "b1", "c1", "a2", "b2", "c2"]), Some(3));
+        for one in [
+            &["1", "2", "10"][..],
+            &["town1_1", "town1_2"],
+            &["a1", "b1"],
+            &["a1", "b1", "a2"],
+            &[],
+        ] {
+            assert_eq!(kinds(one), None, "{one:?}");
+        }
+    }
 
     #[test]
     fn hidden_and_foreign_files_are_left_out_and_a_folder_without_images_says_what_it_holds() {
