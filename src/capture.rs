@@ -26,6 +26,7 @@ pub mod pixels;
 
 mod frame;
 
+mod name_order;
 pub mod newest;
 pub mod period;
 mod wish;

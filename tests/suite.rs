@@ -11,6 +11,7 @@ mod doctor;
 mod documents;
 mod evaluate;
 mod evidence;
+mod files;
 mod fuzz;
 mod hard_cases;
 mod lab;

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::calibration::Target;
 use crate::files::json_fault::fault;
-use crate::files::whole_file::{WholeFile, read_whole};
+use crate::files::whole_file::{WholeFile, read_text};
 use crate::reference::gap::Metric;
 use crate::reference::{
     BYTES_MAX, EvidenceKind, JudgedRate, ModelFingerprint, Reference, ReferenceError, Role,
@@ -106,12 +106,12 @@ impl Shard {
             path: path.to_owned(),
             found,
         };
-        let text = read_whole(path, BYTES_MAX).map_err(|error| ReferenceError::File {
+        let text = read_text(path, BYTES_MAX).map_err(|error| ReferenceError::File {
             path: path.to_owned(),
             error,
         })?;
         let value: serde_json::Value =
-            serde_json::from_slice(&text).map_err(|error| malformed(fault(&error)))?;
+            serde_json::from_str(&text).map_err(|error| malformed(fault(&error)))?;
         if value["format"] == FORMAT {
             if value["version"] != VERSION {
                 return Err(malformed(format!(
@@ -120,7 +120,7 @@ impl Shard {
                 )));
             }
             let shard: Self =
-                serde_json::from_slice(&text).map_err(|error| malformed(fault(&error)))?;
+                serde_json::from_str(&text).map_err(|error| malformed(fault(&error)))?;
             let nameless = shard.sources.iter().filter(|of| of.is_of_no_domain());
             return match nameless.count() {
                 0 | 1 => Ok(shard),

@@ -36,8 +36,13 @@ pub enum SourceError {
     #[error("{}: no such file or folder", .0.display())]
     Missing(PathBuf),
     /// A folder without images.
-    #[error("{}: no PNG or JPEG image in this folder (those of a scene set are in its folder frames)", .0.display())]
-    Empty(PathBuf),
+    #[error("{}: no PNG or JPEG image in this folder; {holds}", path.display())]
+    Empty {
+        /// The folder.
+        path: PathBuf,
+        /// What is in it instead.
+        holds: String,
+    },
     /// A file or folder that cannot be read.
     #[error("{}: {error}", path.display())]
     Unreadable {

@@ -8,6 +8,7 @@ use std::time::UNIX_EPOCH;
 use sha2::{Digest, Sha256};
 
 use super::frame::SourceError;
+use super::name_order::name_order;
 
 /// Largest number of drives that one name may mean.
 const DRIVES_MAX: u64 = 10_000;
@@ -171,27 +172,6 @@ pub fn ranges(sorted: &[String]) -> Vec<String> {
         }
     });
     named.collect()
-}
-
-/// A piece of a name.
-#[derive(PartialEq, Eq, PartialOrd, Ord)]
-pub enum NamePart {
-    Number(u128, String),
-    Text(String),
-}
-
-/// Natural order of names: runs of digits count as numbers, so that `frame_2` comes before `frame_10`.
-pub fn name_order(name: &str) -> Vec<NamePart> {
-    let name: Vec<char> = name.chars().collect();
-    name.chunk_by(|a, b| a.is_ascii_digit() == b.is_ascii_digit())
-        .map(|part| {
-            let text: String = part.iter().collect();
-            text.parse().map_or_else(
-                |_| NamePart::Text(text.clone()),
-                |number| NamePart::Number(number, text.clone()),
-            )
-        })
-        .collect()
 }
 
 /// Whether a name means a rendered drive or noise, and no pictures of a real road.

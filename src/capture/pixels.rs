@@ -265,6 +265,7 @@ fn rgb_from(y: u8, u: u8, v: u8) -> [u8; 3] {
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
+    use crate::capture::jpeg;
 
     fn layout(format: PixelFormat, width: u32, height: u32, stride: u32) -> Layout {
         Layout {
@@ -341,17 +342,17 @@ mod tests {
 
     #[test]
     fn a_jpeg_image_of_another_size_or_none_at_all_is_refused() {
-        let mut jpeg = std::io::Cursor::new(vec![]);
-        image::RgbImage::from_pixel(32, 16, image::Rgb([200, 100, 50]))
-            .write_to(&mut jpeg, image::ImageFormat::Jpeg)
-            .unwrap();
-        let jpeg = jpeg.into_inner();
+        let jpeg = jpeg(&Picture {
+            width: 32,
+            height: 16,
+            rgb: [200, 100, 50].repeat(32 * 16),
+        });
+        let jpeg = jpeg.unwrap();
         let of = |width| layout(PixelFormat::Mjpg, width, 16, 0);
         let picture = of(32).pixels(&jpeg).unwrap().picture();
         assert!(picture.rgb[0].abs_diff(200) <= 3);
         assert!(of(64).pixels(&jpeg).unwrap_err().contains("32x16"));
         assert!(of(32).pixels(&jpeg[..20]).is_err());
-        // The decoder fills what is missing with grey.
         let cut = of(32).pixels(&jpeg[..jpeg.len() - 8]).unwrap_err();
         assert!(cut.contains("cut off"), "{cut}");
         // Some cameras fill their buffers up with zeros.

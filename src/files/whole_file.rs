@@ -29,13 +29,19 @@ pub fn read_whole(path: &Path, most: u64) -> io::Result<Vec<u8>> {
     Ok(bytes)
 }
 
-/// Like [`read_whole`], for text.
+/// Like [`read_whole`], for text. A byte order mark in front of it, as editors of Windows write it, is left out.
 ///
 /// # Errors
 /// Like [`read_whole`], and when it is not UTF-8.
 pub fn read_text(path: &Path, most: u64) -> io::Result<String> {
+    let bytes = read_whole(path, most)?;
     let not_text = |_| io::Error::new(io::ErrorKind::InvalidData, "not text in UTF-8");
-    String::from_utf8(read_whole(path, most)?).map_err(not_text)
+    String::from_utf8(without_mark(&bytes).to_vec()).map_err(not_text)
+}
+
+/// Text without the byte order mark in front of it.
+pub fn without_mark(text: &[u8]) -> &[u8] {
+    text.strip_prefix(b"\xEF\xBB\xBF").unwrap_or(text)
 }
 
 /// A file that is written without a name. If it is dropped without [`WholeFile::finish`], or if the program is killed,

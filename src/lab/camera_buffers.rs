@@ -1,18 +1,15 @@
 //! Rendered pictures → the buffers that a camera would give for them.
 
-use image::codecs::jpeg::JpegEncoder;
+use std::io;
 
-use crate::capture::Picture;
 use crate::capture::pixels::{Layout, PixelFormat};
-
-/// Quality of JPEG images, from 1 to 100, as cameras send them.
-const JPEG_QUALITY: u8 = 85;
+use crate::capture::{Picture, jpeg};
 
 /// A buffer with its layout.
 ///
 /// # Errors
 /// When a picture cannot be encoded as a JPEG image.
-pub fn buffer_of(picture: &Picture, format: PixelFormat) -> image::ImageResult<(Layout, Vec<u8>)> {
+pub fn buffer_of(picture: &Picture, format: PixelFormat) -> io::Result<(Layout, Vec<u8>)> {
     let layout = Layout {
         format,
         width: picture.width,
@@ -38,16 +35,7 @@ pub fn buffer_of(picture: &Picture, format: PixelFormat) -> image::ImageResult<(
             });
             luma.chain(colour).collect()
         }
-        PixelFormat::Mjpg => {
-            let mut jpeg = Vec::new();
-            JpegEncoder::new_with_quality(&mut jpeg, JPEG_QUALITY).encode(
-                &picture.rgb,
-                picture.width,
-                picture.height,
-                image::ExtendedColorType::Rgb8,
-            )?;
-            jpeg
-        }
+        PixelFormat::Mjpg => jpeg(picture)?,
     };
     Ok((layout, bytes))
 }

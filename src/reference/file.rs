@@ -11,7 +11,7 @@ use sha2::{Digest, Sha256};
 
 use crate::files::json_fault::fault;
 use crate::files::shell::quoted;
-use crate::files::whole_file::{WholeFile, read_whole};
+use crate::files::whole_file::{WholeFile, read_text};
 use crate::model::ModelSpec;
 use crate::model::encoder::Encoder;
 use crate::model::preprocess::{Preprocessing, RESIZE_KERNEL};
@@ -394,11 +394,11 @@ impl Reference {
         match file {
             None => Self::parse(Self::BUILT_IN, BUILT_IN),
             Some(path) => {
-                let text = read_whole(path, BYTES_MAX).map_err(|error| ReferenceError::File {
+                let text = read_text(path, BYTES_MAX).map_err(|error| ReferenceError::File {
                     path: path.to_owned(),
                     error,
                 })?;
-                Self::parse(&path.display().to_string(), &String::from_utf8_lossy(&text))
+                Self::parse(&path.display().to_string(), &text)
             }
         }
     }

@@ -94,14 +94,34 @@ fn picture() -> image::RgbImage {
     })
 }
 
-fn encoded(format: image::ImageFormat) -> Vec<u8> {
-    let mut bytes = std::io::Cursor::new(Vec::new());
-    picture().write_to(&mut bytes, format).unwrap();
-    bytes.into_inner()
+fn encoded_jpeg() -> Vec<u8> {
+    let rgb = picture().into_raw();
+    let (width, height) = (48, 32);
+    gapwatch::capture::jpeg(&gapwatch::capture::Picture { width, height, rgb }).unwrap()
 }
 
-fn image(name: &str, format: image::ImageFormat) -> Target {
-    file(name, vec![encoded(format)], |path| {
+/// The same picture turned, and without tables and end marker; other forms as libjpeg's tools write them.
+fn jpegs() -> Vec<Vec<u8>> {
+    let whole = encoded_jpeg();
+    let turned = [
+        &whole[..2],
+        b"\xFF\xE1\x00\x22Exif\0\0II*\0\x08\0\0\0\x01\0\x12\x01\x03\0\x01\0\0\0\x06\0\0\0\0\0\0\0",
+        &whole[2..],
+    ];
+    let mut bare = whole.clone();
+    while let Some(at) = (2..bare.len() - 4).find(|&at| bare[at..].starts_with(b"\xFF\xC4")) {
+        let length = usize::from(u16::from_be_bytes([bare[at + 2], bare[at + 3]]));
+        bare.drain(at..at + 2 + length);
+    }
+    assert!(bare.len() < whole.len());
+    bare.truncate(bare.len() - 2);
+    let mut forms = vec![whole.clone(), turned.concat(), bare];
+    forms.extend(shipped("tests/fuzz/seeds", "jpg"));
+    forms
+}
+
+fn image(name: &str, seeds: Vec<Vec<u8>>) -> Target {
+    file(name, seeds, |path| {
         let opened = open(path.to_str().unwrap());
         match opened.and_then(|mut source| source.next_frame()) {
             Ok(frame) => frame.unwrap().picture.is_ok(),
@@ -116,11 +136,15 @@ fn image(name: &str, format: image::ImageFormat) -> Target {
 }
 
 fn png() -> Target {
-    image("a.png", image::ImageFormat::Png)
+    let mut bytes = std::io::Cursor::new(Vec::new());
+    picture()
+        .write_to(&mut bytes, image::ImageFormat::Png)
+        .unwrap();
+    image("a.png", vec![bytes.into_inner()])
 }
 
 fn jpeg() -> Target {
-    image("a.jpg", image::ImageFormat::Jpeg)
+    image("a.jpg", jpegs())
 }
 
 /// Two bytes choose the format and its sizes, the rest is what the camera gave.
@@ -135,13 +159,7 @@ fn camera_buffers() -> Target {
     let mut seeds = Vec::new();
     for format in 0..5 {
         for sizes in 0..64 {
-            seeds.push(
-                [
-                    &[format, sizes],
-                    encoded(image::ImageFormat::Jpeg).as_slice(),
-                ]
-                .concat(),
-            );
+            seeds.push([&[format, sizes], encoded_jpeg().as_slice()].concat());
             seeds.push([&[format, sizes], picture().into_raw().as_slice()].concat());
         }
     }
@@ -192,10 +210,7 @@ fn whole_recordings() -> Vec<Vec<u8>> {
     };
     let ros = cdr_encoding::to_vec::<_, byteorder::LittleEndian>(&image).unwrap();
     let ros = [&[0, 1, 0, 0], ros.as_slice()].concat();
-    let data = base64::Engine::encode(
-        &base64::engine::general_purpose::STANDARD,
-        encoded(image::ImageFormat::Jpeg),
-    );
+    let data = base64::Engine::encode(&base64::engine::general_purpose::STANDARD, encoded_jpeg());
     let json = format!(r#"{{"timestamp":{{"sec":7,"nsec":5}},"format":"jpeg","data":"{data}"}}"#);
     let options = || {
         let options = mcap::WriteOptions::new().calculate_chunk_crcs(false);

@@ -162,7 +162,10 @@ pub fn whole_events(folder: &Path) -> Vec<String> {
             .chain(heat.map(|(_, file)| file))
             .collect();
         for file in &named {
-            image::open(event.join(file.as_str().unwrap())).unwrap();
+            let path = event.join(file.as_str().unwrap());
+            let frame = gapwatch::capture::open(path.to_str().unwrap())
+                .and_then(|mut source| source.next_frame());
+            frame.unwrap().unwrap().picture.unwrap();
         }
         assert_eq!(files(&event).len(), named.len() + 1);
         events.push(name);

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use anyhow::{Context, anyhow, bail};
 use gapwatch::files::json_fault::fault;
-use gapwatch::files::whole_file::{WholeFile, read_whole};
+use gapwatch::files::whole_file::{WholeFile, read_text};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value, json};
@@ -51,9 +51,9 @@ impl Results {
     /// When the file cannot be read, or is another kind of file.
     pub fn read(path: &Path) -> anyhow::Result<Self> {
         let name = path.display();
-        let text = read_whole(path, BYTES_MAX).with_context(|| format!("cannot read {name}"))?;
+        let text = read_text(path, BYTES_MAX).with_context(|| format!("cannot read {name}"))?;
         let wanted = "wanted results written by gapwatch evaluate --out";
-        match serde_json::from_slice(&text) {
+        match serde_json::from_str(&text) {
             Ok(Value::Object(of)) if of.get(VERSION).is_some_and(Value::is_string) => Ok(Self(of)),
             Ok(_) => bail!("{name}: JSON without the key {VERSION:?}; {wanted}"),
             Err(error) => bail!("{name}: {}; {wanted}", fault(&error)),

@@ -1,6 +1,7 @@
 //! Frames and verdicts on their way to the folder: a bounded queue, and a writer beside the frame loop.
 
 use std::collections::{BTreeMap, VecDeque};
+use std::io;
 use std::path::Path;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
 use std::thread::JoinHandle;
@@ -333,7 +334,7 @@ fn held(message: Message, taps: &[String]) -> Option<Held> {
         .ok()
 }
 
-fn compressed(message: Message, taps: &[String]) -> image::ImageResult<Held> {
+fn compressed(message: Message, taps: &[String]) -> io::Result<Held> {
     let mut moment = message.moment;
     let mut files = vec![(moment.frame.clone(), jpeg(&message.pixels.picture())?)];
     if let Some(look) = message.look {

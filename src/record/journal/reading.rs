@@ -11,6 +11,7 @@ use serde_json::{Map, Value};
 
 use super::about::{About, VERSION};
 use crate::capture::clock::ClockTime;
+use crate::files::whole_file::without_mark;
 use crate::monitor::alarm::AlarmState;
 use crate::reference::cause::{Cause, LikelyCause};
 
@@ -154,7 +155,11 @@ pub fn read(path: &Path) -> Result<Reading, ReadError> {
             reading.breaks_off = true;
             break;
         }
-        let object = object(&bytes).map_err(refused)?;
+        let text = match line {
+            1 => without_mark(&bytes),
+            _ => &bytes,
+        };
+        let object = object(text).map_err(refused)?;
         if line == 1 {
             let found = version(&object).map_err(refused)?;
             if found != VERSION {
@@ -189,7 +194,10 @@ fn object(bytes: &[u8]) -> Result<Map<String, Value>, Mismatch> {
     match serde_json::from_slice(bytes) {
         Ok(Value::Object(object)) => Ok(object),
         _ => Err((
-            shown(String::from_utf8_lossy(bytes).trim()),
+            match std::str::from_utf8(bytes) {
+                Ok(text) => shown(text.trim()),
+                Err(_) => "no text in UTF-8".to_owned(),
+            },
             "one JSON object, {\"t_s\": …, \"state\": …, …}".to_owned(),
         )),
     }

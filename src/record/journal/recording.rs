@@ -129,19 +129,17 @@ impl RecordingJournal {
             return Ok(());
         };
         let at = self.began_at.saturating_add(frame.captured_at);
-        let message = jpeg(&pixels.picture())
-            .map_err(io::Error::other)
-            .and_then(|jpeg| {
-                let image = CompressedImage {
-                    sec: i32::try_from(at.as_secs()).unwrap_or(i32::MAX),
-                    nanosec: at.subsec_nanos(),
-                    frame_id: "camera",
-                    format: "jpeg",
-                    data: &jpeg,
-                };
-                let fields = cdr_encoding::to_vec::<_, LittleEndian>(&image);
-                Ok([&CDR_HEAD, fields.map_err(io::Error::other)?.as_slice()].concat())
-            });
+        let message = jpeg(&pixels.picture()).and_then(|jpeg| {
+            let image = CompressedImage {
+                sec: i32::try_from(at.as_secs()).unwrap_or(i32::MAX),
+                nanosec: at.subsec_nanos(),
+                frame_id: "camera",
+                format: "jpeg",
+                data: &jpeg,
+            };
+            let fields = cdr_encoding::to_vec::<_, LittleEndian>(&image);
+            Ok([&CDR_HEAD, fields.map_err(io::Error::other)?.as_slice()].concat())
+        });
         let message = message.map_err(|error| self.failed(error))?;
         self.write(self.images, at, &message)
     }
