@@ -135,10 +135,11 @@ fn open_file(name: &str, file: &FileName<'_>) -> Result<Box<dyn FrameSource>, So
         return Err(SourceError::Missing(path.to_owned()));
     }
     #[cfg(not(feature = "lab"))]
-    if path
-        .extension()
-        .is_some_and(|e| e.eq_ignore_ascii_case("mcap"))
-    {
+    if path.file_name().is_some_and(|name| {
+        name.to_string_lossy()
+            .to_ascii_lowercase()
+            .contains(".mcap")
+    }) {
         return wrong("this build reads no MCAP recordings (build with --features lab)");
     }
     #[cfg(feature = "lab")]

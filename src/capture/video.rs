@@ -10,7 +10,7 @@ mod timeline;
 use std::ffi::OsString;
 use std::io::{BufReader, Read};
 use std::path::{Path, PathBuf};
-use std::process::{Child, ChildStdout, Command, Stdio};
+use std::process::{Child, ChildStdout, Command, ExitStatus, Stdio};
 use std::time::Duration;
 
 use super::pixels::Pixels;
@@ -19,10 +19,8 @@ use messages::Messages;
 use probe::{PROTOCOLS, Timing, missing, probe};
 use timeline::Timeline;
 
-/// The names of frames in the messages: each frame gets a value under this key, and is reported with its time in
-/// microseconds.
-const REPORT_TIMES: &str =
-    "settb=AVTB,metadata=mode=add:key=gapwatch:value=1,metadata=mode=print:key=gapwatch";
+/// Reports every frame with its time in microseconds, in the same way in all versions since 4.2.
+const REPORT_TIMES: &str = "settb=AVTB,showinfo=checksum=0";
 
 pub struct VideoSource {
     path: PathBuf,
@@ -87,6 +85,8 @@ impl VideoSource {
             .args(["-map", &format!("0:{}", found.index)])
             .args(["-vf", REPORT_TIMES])
             .args(found.keep_every_frame)
+            // Finer than any frame rate, so that no two frames fall on one time.
+            .args(["-enc_time_base", "1:1000000"])
             .args([
                 "-sws_flags",
                 "bicubic+accurate_rnd+full_chroma_int",
@@ -98,6 +98,8 @@ impl VideoSource {
                 "rgb24",
                 "-",
             ])
+            .env("AV_LOG_FORCE_NOCOLOR", "1")
+            .env_remove("AV_LOG_FORCE_COLOR")
             .stdin(Stdio::null())
             .stdout(Stdio::piped())
             .stderr(Stdio::piped())
@@ -121,8 +123,13 @@ impl VideoSource {
     /// The end of the pipe: a regular end, or the error message of `ffmpeg`.
     fn finish(&mut self, whole: bool) -> Result<Option<Frame>, SourceError> {
         self.ended = true;
-        let ended_well = self.ffmpeg.wait().is_ok_and(|status| status.success());
+        let status = self.ffmpeg.wait();
         let (problems, first) = self.messages.problems();
+        let ended_well = status.as_ref().is_ok_and(ExitStatus::success);
+        let first = first.unwrap_or_else(|| match status {
+            Ok(status) => format!("ffmpeg ended without a message, {status}"),
+            Err(error) => error.to_string(),
+        });
         if ended_well && whole && self.next > 0 {
             if problems > 0 {
                 log::warn!(

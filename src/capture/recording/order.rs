@@ -106,8 +106,8 @@ impl InOrder {
             (self.parts, self.current, self.failed) = (VecDeque::new(), None, None);
             self.waiting.clear();
             return Err(format!(
-                "the next message was recorded {back_s:.3} s before it, and the file has no index to put messages in \
-                 order; mcap sort of the MCAP tools makes an ordered file"
+                "the next message was recorded {back_s:.3} s before the last one, too far back to be put in order; \
+                 mcap sort of the MCAP tools makes an ordered file"
             ));
         }
         self.last = key.0;

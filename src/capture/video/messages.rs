@@ -48,13 +48,10 @@ impl Messages {
     }
 
     /// Waits for the last message; returns the number of errors and the first one.
-    pub fn problems(&mut self) -> (u64, String) {
+    pub fn problems(&mut self) -> (u64, Option<String>) {
         let read = self.reader.take().and_then(|reader| reader.join().ok());
         let Problems { count, first } = read.unwrap_or_default();
-        (
-            count,
-            first.unwrap_or_else(|| "ffmpeg said nothing".to_owned()),
-        )
+        (count, first)
     }
 }
 
@@ -75,24 +72,21 @@ fn read(stderr: ChildStderr, times: &Sender<Option<i64>>) -> Problems {
     problems
 }
 
-/// Lines look like `[Parsed_metadata_2 @ 0x55] [info] frame:7    pts:280000  pts_time:0.28`.
+/// Lines look like `[Parsed_showinfo_1 @ 0x55] [info] n:   7 pts: 280000 pts_time:0.28    pos: 48`.
 fn meaning(line: &str) -> Line<'_> {
+    // Texts from the file are indented, and say nothing about problems.
+    let own = !line.starts_with(' ');
     for level in ["[error] ", "[fatal] ", "[panic] "] {
-        // Texts from the file are indented, and say nothing about problems.
-        if !line.starts_with(' ')
-            && let Some((_, what)) = line.split_once(level)
-        {
+        if own && let Some((_, what)) = line.split_once(level) {
             return Line::Problem(what.trim_end());
         }
     }
-    let Some((_, report)) = line
-        .strip_prefix("[Parsed_metadata_")
-        .and_then(|rest| rest.split_once("] frame:"))
-    else {
+    let report = line.strip_prefix("[Parsed_showinfo_");
+    let Some((_, report)) = report.and_then(|rest| rest.split_once("] [info] n:")) else {
         return Line::Other;
     };
-    let mut fields = report.split_ascii_whitespace();
-    let time = fields.find_map(|field| field.strip_prefix("pts:"));
+    let time = report.split_once("pts:").map(|(_, rest)| rest.trim_start());
+    let time = time.and_then(|rest| rest.split_ascii_whitespace().next());
     Line::Frame(time.and_then(|time| time.parse().ok()))
 }
 
@@ -104,15 +98,15 @@ mod tests {
     fn lines_are_frames_problems_or_neither() {
         for (line, wanted) in [
             (
-                "[Parsed_metadata_2 @ 0x55b5] [info] frame:1    pts:-50000  pts_time:-0.05",
+                "[Parsed_showinfo_1 @ 0x55b5] [info] n:   1 pts: -50000 pts_time:-0.05   pos: 48 fmt:gray",
                 Line::Frame(Some(-50_000)),
             ),
             (
-                "[Parsed_metadata_2 @ 0x55b5] [info] frame:2    pts:NOPTS   pts_time:NOPTS",
+                "[Parsed_showinfo_1 @ 0x55b5] [info] n:   2 pts:  NOPTS pts_time:NOPTS",
                 Line::Frame(None),
             ),
             (
-                "[Parsed_metadata_2 @ 0x55b5] [info] gapwatch=1",
+                "[Parsed_showinfo_1 @ 0x55b5] [info] config in time_base: 1/1000000, frame_rate: 10/1",
                 Line::Other,
             ),
             (

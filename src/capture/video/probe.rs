@@ -13,7 +13,7 @@ const RATE_ASSUMED: f64 = 25.0;
 /// From this version of libavcodec on (ffmpeg 5.1), `-fps_mode` is the name of what was `-vsync`.
 const FPS_MODE_SINCE: (u32, u32) = (59, 37);
 /// Formats without times: one coded picture after the other.
-const RAW: [&str; 17] = [
+const RAW: [&str; 19] = [
     "av1",
     "avs2",
     "avs3",
@@ -28,8 +28,10 @@ const RAW: [&str; 17] = [
     "ingenient",
     "m4v",
     "mjpeg",
+    "mjpeg_2000",
     "mpegvideo",
     "obu",
+    "vc1",
     "vvc",
 ];
 
@@ -94,7 +96,6 @@ struct Stream {
     avg_frame_rate: String,
     #[serde(default)]
     r_frame_rate: String,
-    start_time: Option<String>,
     #[serde(default)]
     disposition: Disposition,
 }
@@ -120,7 +121,7 @@ pub fn probe(input: &OsStr) -> Result<Found, String> {
         .args(["-v", "error", "-select_streams", "V"])
         .args([
             "-show_entries",
-            "stream=index,width,height,avg_frame_rate,r_frame_rate,start_time:stream_disposition=default:\
+            "stream=index,width,height,avg_frame_rate,r_frame_rate:stream_disposition=default:\
              format=format_name:library_version=name,major,minor",
             "-of",
             "json",
@@ -149,12 +150,7 @@ fn found(answer: &[u8]) -> Option<Found> {
         (stream.disposition.default, pixels, Reverse(stream.index))
     })?;
     let stated = [&stream.avg_frame_rate, &stream.r_frame_rate];
-    let format = answer.format.format_name.as_str();
-    let is_still = format == "image2" || format.ends_with("_pipe");
-    let timing = match RAW.contains(&format) || (stream.start_time.is_none() && !is_still) {
-        true => Timing::Raw,
-        false => Timing::OfTheFile,
-    };
+    let is_raw = RAW.contains(&answer.format.format_name.as_str());
     let mut libraries = answer.library_versions.iter();
     let codecs = libraries.find(|library| library.name == "libavcodec");
     let is_new = codecs.is_some_and(|codecs| (codecs.major, codecs.minor) >= FPS_MODE_SINCE);
@@ -166,7 +162,11 @@ fn found(answer: &[u8]) -> Option<Found> {
             .iter()
             .find_map(|text| rate(text))
             .unwrap_or(RATE_ASSUMED),
-        timing,
+        timing: if is_raw {
+            Timing::Raw
+        } else {
+            Timing::OfTheFile
+        },
         others: streams.len() - 1,
         keep_every_frame: [if is_new { "-fps_mode" } else { "-vsync" }, "passthrough"],
     })
@@ -187,7 +187,7 @@ mod tests {
 
     fn stream(index: u32, width: u32, default: u32) -> serde_json::Value {
         json!({ "index": index, "width": width, "height": 10, "avg_frame_rate": "10/1", "r_frame_rate": "20/1",
-            "start_time": "0.0", "disposition": { "default": default } })
+            "disposition": { "default": default } })
     }
 
     fn of(streams: &[serde_json::Value], format: &str) -> Option<Found> {
@@ -215,19 +215,18 @@ mod tests {
     }
 
     #[test]
-    fn a_stream_without_times_is_raw_and_a_still_is_not() {
+    fn raw_streams_are_known_by_their_format() {
         let mut without = stream(0, 20, 0);
-        without.as_object_mut().unwrap().remove("start_time");
         without["avg_frame_rate"] = json!("0/0");
         for (format, timing) in [
             ("mjpeg", Timing::Raw),
-            ("some new one", Timing::Raw),
-            ("bmp_pipe", Timing::OfTheFile),
+            ("h264", Timing::Raw),
+            ("apng", Timing::OfTheFile),
+            ("mov,mp4,m4a,3gp,3g2,mj2", Timing::OfTheFile),
         ] {
             let found = of(&[without.clone()], format).unwrap();
             assert_eq!((found.timing, found.rate), (timing, 20.0), "{format}");
         }
-        assert_eq!(of(&[stream(0, 20, 0)], "h264").unwrap().timing, Timing::Raw);
     }
 
     #[test]
