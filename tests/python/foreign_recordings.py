@@ -206,10 +206,6 @@ def order(cases):
     cases.by_reader("pairs without chunks", "no-chunks.mcap")
     plain(cases.path("no-summary.mcap"), pairs, summary=False, chunk=20_000)
     cases.read("pairs without a summary", "no-summary.mcap")
-    # Beyond what is put in order without an index: 60 images, the later half first.
-    small = lambda number: serialised(number % COUNT)
-    plain(cases.path("far.mcap"), [*range(60, 120), *range(60)], message=small, chunked=False)
-    cases.refused("far out of order without an index", "far.mcap", "mcap sort")
 
 
 def stamps(cases):
