@@ -165,7 +165,7 @@ fn every_frame_of_a_video_is_seen_once_upright_and_at_its_own_time() {
         "-f lavfi -i sine=d=6 -itsoffset 1.5 -i plain.mp4 -map 1:v -map 0:a -c:v copy -c:a aac";
     let slower = "select='lt(n,10)+gt(n,25)+not(mod(n,2))'";
     let interlaced = "tinterlace=interleave_top,setfield=tff -flags +ilme+ildct";
-    for made in [
+    let all: &[&str] = &[
         &format!("{late} late.mp4"),
         "-itsoffset -0.75 -i plain.mp4 -c copy early.mkv",
         &format!("IN -vf {slower} -vsync vfr {H264} slower.mp4"),
@@ -182,7 +182,8 @@ fn every_frame_of_a_video_is_seen_once_upright_and_at_its_own_time() {
         &format!(
             "IN -vf settb=1/1000,setpts=N*100+45*mod(N\\,3) -vsync passthrough -enc_time_base 1:1000 {H264} uneven.mkv"
         ),
-    ] {
+    ];
+    for made in all {
         ffmpeg(folder, made);
     }
     // The numbers of turned pictures cannot be read where they are looked for.
