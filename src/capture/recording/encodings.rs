@@ -325,7 +325,13 @@ mod tests {
         ] {
             assert!(picture(encoding, 0, 5, 0, &[0; 64]).is_err());
             assert!(picture(encoding, u32::MAX, u32::MAX, 0, &[0; 64]).is_err());
-            assert!(picture(encoding, 5, 5, u32::MAX, &[0; 64]).is_err());
+            // Planes with an impossible step are taken without padding, and need 43 bytes here.
+            let bytes = if matches!(encoding, "nv21" | "i420") {
+                42
+            } else {
+                64
+            };
+            assert!(picture(encoding, 5, 5, u32::MAX, &[0; 64][..bytes]).is_err());
         }
         let unknown = picture("32FC1", 2, 2, 0, &[0; 64]).unwrap_err();
         assert!(
