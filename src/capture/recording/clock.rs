@@ -142,6 +142,7 @@ fn delay(stamp: Duration, log_time: Duration) -> i128 {
 
 #[cfg(test)]
 mod tests {
+    #![allow(clippy::float_cmp)]
     use super::*;
 
     /// Times in seconds of images that were recorded every 0.1 s, from their stamps.
