@@ -5,24 +5,10 @@
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use crate::program::{Ran, gapwatch_in, ran, verdict_lines};
+use crate::program::{check, gapwatch_in, verdict_lines};
 
 const PROGRAM: &str = env!("CARGO_BIN_EXE_gapwatch");
 const ROOT: &str = env!("CARGO_MANIFEST_DIR");
-
-/// Runs a check of `tests/python` with the Python that has its packages.
-fn check(script: &str, args: &[&str]) -> String {
-    let python = std::env::var("GAPWATCH_PYTHON")
-        .expect("GAPWATCH_PYTHON names a Python with the packages of tests/requirements.txt; tests/run sets it");
-    let script = Path::new(ROOT).join("tests/python").join(script);
-    let Ran { code, out, err } = ran(Command::new(python)
-        .arg(script)
-        .args(args)
-        .output()
-        .unwrap());
-    assert_eq!(code, 0, "{out}\n{err}");
-    out
-}
 
 fn scenes(folder: &Path, name: &str, more: &[&str]) -> PathBuf {
     gapwatch_in(folder, &[&["scene", "--out", name], more].concat()).ok();

@@ -1,5 +1,9 @@
 //! MCAP recordings as sources and as journals: round trip, choice of the topic, damaged files.
-#![allow(clippy::unwrap_used, clippy::cast_possible_truncation)]
+#![allow(
+    clippy::unwrap_used,
+    clippy::cast_possible_truncation,
+    clippy::float_cmp
+)]
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -165,6 +169,72 @@ fn a_recording_keeps_its_own_times_in_every_form_of_the_file() {
     let bytes = fs::read(folder.path().join("out.mcap")).unwrap();
     let first = mcap::MessageStream::new(&bytes).unwrap().next().unwrap();
     assert_eq!(first.unwrap().log_time, 50_250_000_000);
+}
+
+/// A recording of one topic whose messages stand in this order; message n was recorded at n seconds.
+fn recording_in_order(order: impl IntoIterator<Item = u32>, options: WriteOptions) -> Vec<u8> {
+    let mut writer = options.create(Cursor::new(Vec::new())).unwrap();
+    let schema = writer.add_schema(CAMERA.1, "jsonschema", b"{}").unwrap();
+    let none = BTreeMap::new();
+    let channel_id = writer.add_channel(schema, CAMERA.0, "json", &none).unwrap();
+    for sequence in order {
+        let log_time = 1_000_000_000 * u64::from(sequence);
+        let header = MessageHeader {
+            channel_id,
+            sequence,
+            log_time,
+            publish_time: log_time,
+        };
+        writer
+            .write_to_known_channel(&header, &image(sequence))
+            .unwrap();
+    }
+    writer.finish().unwrap();
+    writer.into_inner().into_inner()
+}
+
+#[test]
+fn images_come_in_the_order_of_time_wherever_they_stand() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("r.mcap");
+    let halves = || (40..80).chain(0..40);
+    let near = || (0..80).map(|n| n / 20 * 20 + 19 - n % 20);
+    let options = WriteOptions::new;
+    let few_in_a_chunk = || options().chunk_size(Some(40_000));
+    for bytes in [
+        recording_in_order(halves(), few_in_a_chunk()),
+        recording_in_order(halves(), options()),
+        recording_in_order((0..80).rev(), options().chunk_size(Some(1))),
+        recording_in_order(near(), options().use_chunks(false)),
+        recording_in_order(near(), few_in_a_chunk().emit_summary_records(false)),
+        recording_in_order(near(), few_in_a_chunk().emit_chunk_indexes(false)),
+        recording_in_order(near(), few_in_a_chunk().emit_message_indexes(false)),
+    ] {
+        fs::write(&path, bytes).unwrap();
+        let frames = frames(&path).unwrap();
+        assert_eq!(frames.len(), 80);
+        for (second, frame) in (0_u32..).zip(&frames) {
+            assert_eq!(frame.captured_at.as_secs_f64(), f64::from(second));
+            let picture = frame.picture.as_ref().unwrap().picture();
+            assert_eq!(u32::from(picture.rgb[0]), second);
+        }
+    }
+    // Without an index, an image may stand among the 32 before and after it.
+    for options in [
+        options().use_chunks(false),
+        few_in_a_chunk().emit_summary_records(false),
+    ] {
+        fs::write(&path, recording_in_order(halves(), options)).unwrap();
+        let said = frames(&path).unwrap_err().to_string();
+        assert!(
+            said.contains("broke off after 9 images of /camera"),
+            "{said}"
+        );
+        assert!(
+            said.contains("48.000 s before") && said.contains("mcap sort"),
+            "{said}"
+        );
+    }
 }
 
 #[test]

@@ -112,48 +112,86 @@ pub fn open(name: &str) -> Result<Box<dyn FrameSource>, SourceError> {
     lay_over(source, &file.overlay)
 }
 
+/// Options that do not fit.
+#[cfg(feature = "lab")]
+const OF_RECORDING: &str =
+    "?fps= is for folders of images and raw video streams; a recording has its own times";
+const OF_TOPIC: &str = "?topic= is for MCAP recordings";
+
 fn open_file(name: &str, file: &FileName<'_>) -> Result<Box<dyn FrameSource>, SourceError> {
     let &FileName {
         path, fps, topic, ..
     } = file;
-    if path.is_dir() && topic.is_none() {
-        return Ok(Box::new(images::ImageSource::folder(
-            path,
-            fps.unwrap_or(images::FOLDER_FPS),
-        )?));
-    }
-    if !path.exists() {
-        return Err(SourceError::Missing(path.to_owned()));
-    }
     let wrong = |wanted: &str| {
         Err(SourceError::Name {
             found: name.to_owned(),
             wanted: wanted.to_owned(),
         })
     };
-    if fps.is_some() {
-        return wrong(
-            "?fps= is only for folders of images; a video or recording has its own times, and a single image has none",
-        );
+    if path.is_dir() {
+        return open_folder(name, file);
+    }
+    if !path.exists() {
+        return Err(SourceError::Missing(path.to_owned()));
     }
     #[cfg(not(feature = "lab"))]
-    if path
-        .extension()
-        .is_some_and(|e| e.eq_ignore_ascii_case("mcap"))
-    {
+    if path.file_name().is_some_and(|name| {
+        name.to_string_lossy()
+            .to_ascii_lowercase()
+            .contains(".mcap")
+    }) {
         return wrong("this build reads no MCAP recordings (build with --features lab)");
     }
     #[cfg(feature = "lab")]
     if path.is_file() && recording::is_recording(path) {
+        if fps.is_some() {
+            return wrong(
+                "?fps= is for folders of images and raw video streams; a recording has its own times",
+            );
+        }
         return Ok(Box::new(recording::RecordingSource::open(path, topic)?));
     }
     if topic.is_some() {
-        return wrong("?topic= is for MCAP recordings");
+        return wrong(OF_TOPIC);
     }
     if images::is_image(path) {
+        if fps.is_some() {
+            return wrong(
+                "?fps= is for folders of images and raw video streams; a single image has no rate",
+            );
+        }
         return Ok(Box::new(images::ImageSource::single(path)));
     }
-    Ok(Box::new(video::VideoSource::open(path)?))
+    Ok(Box::new(video::VideoSource::open(path, fps)?))
+}
+
+/// Opens a folder of images or, if there are none in it, the recording whose parts are in it.
+fn open_folder(name: &str, file: &FileName<'_>) -> Result<Box<dyn FrameSource>, SourceError> {
+    let &FileName {
+        path, fps, topic, ..
+    } = file;
+    let wrong = |wanted: &str| {
+        Err(SourceError::Name {
+            found: name.to_owned(),
+            wanted: wanted.to_owned(),
+        })
+    };
+    let images = images::ImageSource::folder(path, fps.unwrap_or(images::FOLDER_FPS));
+    #[cfg(feature = "lab")]
+    if topic.is_some() || matches!(images, Err(SourceError::Empty(_))) {
+        let parts = recording::parts(path)?;
+        if !parts.is_empty() && fps.is_some() {
+            return wrong(OF_RECORDING);
+        }
+        if !parts.is_empty() {
+            let source = recording::RecordingSource::of_parts(path, &parts, topic)?;
+            return Ok(Box::new(source));
+        }
+    }
+    if topic.is_some() {
+        return wrong(OF_TOPIC);
+    }
+    Ok(Box::new(images?))
 }
 
 #[cfg(test)]

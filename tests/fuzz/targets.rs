@@ -196,20 +196,36 @@ struct RosImage {
     data: serde_bytes::ByteBuf,
 }
 
-/// Recordings with the same picture four times, in each form of the file; without check sums, so that damage gets inside.
-fn whole_recordings() -> Vec<Vec<u8>> {
+/// A message of ROS with a picture of 48x32 in this encoding, made of the same bytes again and again.
+fn ros_image(encoding: &str, step: u32, bytes: usize) -> Vec<u8> {
     let image = RosImage {
         stamp: (7, 500_000_000),
         frame_id: "camera".to_owned(),
         height: 32,
         width: 48,
-        encoding: "bgr8".to_owned(),
+        encoding: encoding.to_owned(),
         is_bigendian: 0,
-        step: 144,
-        data: picture().into_raw().into(),
+        step,
+        data: picture()
+            .into_raw()
+            .into_iter()
+            .cycle()
+            .take(bytes)
+            .collect::<Vec<u8>>()
+            .into(),
     };
     let ros = cdr_encoding::to_vec::<_, byteorder::LittleEndian>(&image).unwrap();
-    let ros = [&[0, 1, 0, 0], ros.as_slice()].concat();
+    [&[0, 1, 0, 0], ros.as_slice()].concat()
+}
+
+const TOPICS: [&str; 4] = ["/ros", "/mosaic", "/planes", "/camera"];
+
+/// Recordings with the same picture four times on each topic, in each form of the file; without check sums, so that damage
+/// gets inside.
+fn whole_recordings() -> Vec<Vec<u8>> {
+    let ros = ros_image("bgr8", 144, 4_608);
+    let mosaic = ros_image("bayer_grbg16", 96, 3_072);
+    let planes = zstd::stream::encode_all(&ros_image("i420", 48, 2_304)[..], 1).unwrap();
     let data = base64::Engine::encode(&base64::engine::general_purpose::STANDARD, encoded_jpeg());
     let json = format!(r#"{{"timestamp":{{"sec":7,"nsec":5}},"format":"jpeg","data":"{data}"}}"#);
     let options = || {
@@ -226,11 +242,13 @@ fn whole_recordings() -> Vec<Vec<u8>> {
     let written = forms.into_iter().map(|options| {
         let mut writer = options.create(std::io::Cursor::new(Vec::new())).unwrap();
         for (schema, encoding, topic, message) in [
-            ("sensor_msgs/msg/Image", "cdr", "/ros", ros.as_slice()),
+            ("sensor_msgs/msg/Image", "cdr", TOPICS[0], ros.as_slice()),
+            ("sensor_msgs/msg/Image", "cdr", TOPICS[1], &mosaic),
+            ("sensor_msgs/msg/Image", "cdr", TOPICS[2], &planes),
             (
                 "foxglove.CompressedImage",
                 "json",
-                "/camera",
+                TOPICS[3],
                 json.as_bytes(),
             ),
         ] {
@@ -251,7 +269,9 @@ fn whole_recordings() -> Vec<Vec<u8>> {
         writer.finish().unwrap();
         writer.into_inner().into_inner()
     });
-    written.collect()
+    let mut written: Vec<Vec<u8>> = written.collect();
+    written.push(zstd::stream::encode_all(&written[1][..], 1).unwrap());
+    written
 }
 
 fn recordings() -> Target {
@@ -278,8 +298,8 @@ fn recordings() -> Target {
         pictures
     };
     let mut target = file("a.mcap", whole_recordings(), move |path| {
-        let both = || [pictures(path, "/ros"), pictures(path, "/camera")];
-        catch_unwind(both).is_ok_and(|both| both == [4, 4])
+        let all = || TOPICS.map(|topic| pictures(path, topic));
+        catch_unwind(all).is_ok_and(|all| all == [4; 4])
     });
     assert!(target.seeds.iter().all(|seed| (target.read)(seed)));
     target

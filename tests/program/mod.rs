@@ -32,6 +32,22 @@ pub fn gapwatch_threads(folder: &Path, threads: u32, args: &[&str]) -> Ran {
         .unwrap())
 }
 
+/// Runs a check of `tests/python` with the Python that has its packages.
+pub fn check(script: &str, args: &[&str]) -> String {
+    let python = std::env::var("GAPWATCH_PYTHON")
+        .expect("GAPWATCH_PYTHON names a Python with the packages of tests/requirements.txt; tests/run sets it");
+    let script = Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("tests/python")
+        .join(script);
+    let Ran { code, out, err } = ran(Command::new(python)
+        .arg(script)
+        .args(args)
+        .output()
+        .unwrap());
+    assert_eq!(code, 0, "{out}\n{err}");
+    out
+}
+
 /// A program's exit code and output.
 pub fn ran(output: Output) -> Ran {
     Ran {

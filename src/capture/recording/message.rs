@@ -11,9 +11,10 @@ use byteorder::{BigEndian, LittleEndian};
 use prost::Message as _;
 use serde::Deserialize;
 
+use super::compression::{ZSTD_MAGIC, unpacked};
+use super::encodings::{NoPicture, Raw};
 use crate::capture::compressed::decoded;
-use crate::capture::pixels::{Layout, PixelFormat, Pixels};
-use crate::capture::{PIXELS_MAX, Picture};
+use crate::capture::pixels::Pixels;
 use crate::files::json_fault::fault;
 
 /// The supported schemas, for error messages.
@@ -42,7 +43,7 @@ pub struct Image {
     /// When it was taken, since the epoch of the recording's clock; zero if the message does not give it.
     pub stamp: Duration,
     /// The picture, or what is wrong with it.
-    pub picture: Result<Pixels, String>,
+    pub picture: Result<Pixels, NoPicture>,
 }
 
 impl Kind {
@@ -64,19 +65,35 @@ impl Kind {
     /// # Errors
     /// What is wrong with a message from which neither time nor picture can be read.
     pub fn image(self, message: &[u8]) -> Result<Image, String> {
+        // The recorder of ROS 2 can compress every message by itself.
+        if message.starts_with(ZSTD_MAGIC) {
+            return self.plain_image(&unpacked(message)?);
+        }
+        self.plain_image(message)
+    }
+
+    fn plain_image(self, message: &[u8]) -> Result<Image, String> {
         match self {
             Self::RosImage => {
                 let raw: RosImage<'_> = from_cdr(message)?;
+                let pixels = Raw {
+                    encoding: &raw.encoding,
+                    width: raw.width,
+                    height: raw.height,
+                    step: raw.step,
+                    is_bigendian: raw.is_bigendian != 0,
+                    data: raw.data,
+                };
                 Ok(Image {
                     stamp: raw.header.stamp.since_epoch(),
-                    picture: picture(&raw.encoding, raw.width, raw.height, raw.step, raw.data),
+                    picture: pixels.pixels(),
                 })
             }
             Self::RosCompressedImage => {
                 let compressed: RosCompressedImage<'_> = from_cdr(message)?;
                 Ok(Image {
                     stamp: compressed.header.stamp.since_epoch(),
-                    picture: decoded(compressed.data).map(Pixels::from),
+                    picture: uncompressed(&compressed.format, compressed.data),
                 })
             }
             Self::RawImageProtobuf => {
@@ -88,16 +105,23 @@ impl Kind {
                     CompressedImage::decode(message).map_err(|error| error.to_string())?;
                 Ok(Image {
                     stamp: compressed.timestamp.unwrap_or_default().since_epoch(),
-                    picture: decoded(&compressed.data).map(Pixels::from),
+                    picture: uncompressed(&compressed.format, &compressed.data),
                 })
             }
             Self::RawImageJson => {
                 let raw: RawImageJson =
                     serde_json::from_slice(message).map_err(|error| fault(&error))?;
-                let data = from_base64(&raw.data)?;
+                let pixels = Raw {
+                    encoding: &raw.encoding,
+                    width: raw.width,
+                    height: raw.height,
+                    step: raw.step,
+                    is_bigendian: false,
+                    data: &from_base64(&raw.data)?,
+                };
                 Ok(Image {
                     stamp: raw.timestamp.since_epoch(),
-                    picture: picture(&raw.encoding, raw.width, raw.height, raw.step, &data),
+                    picture: pixels.pixels(),
                 })
             }
             Self::CompressedImageJson => {
@@ -105,7 +129,7 @@ impl Kind {
                     serde_json::from_slice(message).map_err(|error| fault(&error))?;
                 Ok(Image {
                     stamp: compressed.timestamp.since_epoch(),
-                    picture: decoded(&from_base64(&compressed.data)?).map(Pixels::from),
+                    picture: uncompressed(&compressed.format, &from_base64(&compressed.data)?),
                 })
             }
         }
@@ -142,8 +166,7 @@ struct RosImage<'a> {
     height: u32,
     width: u32,
     encoding: String,
-    #[serde(rename = "is_bigendian")]
-    _is_bigendian: u8,
+    is_bigendian: u8,
     step: u32,
     data: &'a [u8],
 }
@@ -151,9 +174,7 @@ struct RosImage<'a> {
 #[derive(Deserialize)]
 struct RosCompressedImage<'a> {
     header: Header,
-    /// This field has many spellings; the data itself shows the format better.
-    #[serde(rename = "format")]
-    _format: String,
+    format: String,
     data: &'a [u8],
 }
 
@@ -213,24 +234,28 @@ impl RawImage {
     fn image(&self) -> Image {
         Image {
             stamp: self.timestamp.unwrap_or_default().since_epoch(),
-            picture: picture(
-                &self.encoding,
-                self.width,
-                self.height,
-                self.step,
-                &self.data,
-            ),
+            picture: Raw {
+                encoding: &self.encoding,
+                width: self.width,
+                height: self.height,
+                step: self.step,
+                is_bigendian: false,
+                data: &self.data,
+            }
+            .pixels(),
         }
     }
 }
 
-/// `foxglove.CompressedImage`; the format, tag 3, is recognised from the data.
+/// `foxglove.CompressedImage`.
 #[derive(Clone, PartialEq, prost::Message)]
 struct CompressedImage {
     #[prost(message, optional, tag = "1")]
     timestamp: Option<Timestamp>,
     #[prost(bytes = "vec", tag = "2")]
     data: Vec<u8>,
+    #[prost(string, tag = "3")]
+    format: String,
 }
 
 #[derive(Deserialize)]
@@ -247,6 +272,30 @@ struct RawImageJson {
 struct CompressedImageJson {
     timestamp: Stamp,
     data: String,
+    #[serde(default)]
+    format: String,
+}
+
+/// The picture in a compressed image. Its format has many spellings, and the data shows better what it is; the format
+/// only says what data is that shows neither JPEG nor PNG.
+fn uncompressed(format: &str, data: &[u8]) -> Result<Pixels, NoPicture> {
+    let name = format.to_ascii_lowercase();
+    if name.contains("compresseddepth") {
+        return Err(NoPicture::Foreign(format!(
+            "distances ({format:?}), wanted pictures"
+        )));
+    }
+    let begins = |magic: &[u8]| data.starts_with(magic);
+    let known = begins(b"\xFF\xD8") || begins(b"\x89PNG");
+    let named = ["jpeg", "jpg", "png"]
+        .iter()
+        .any(|known| name.contains(known));
+    if !known && !named && !name.trim().is_empty() {
+        return Err(NoPicture::Foreign(format!(
+            "images in format {format:?}, wanted jpeg or png"
+        )));
+    }
+    Ok(decoded(data).map(Pixels::from)?)
 }
 
 fn from_base64(text: &str) -> Result<Vec<u8>, String> {
@@ -255,128 +304,10 @@ fn from_base64(text: &str) -> Result<Vec<u8>, String> {
         .map_err(|error| format!("data that is not base64: {error}"))
 }
 
-/// Red, green and blue of a pixel's bytes.
-type Colour = fn(&[u8]) -> [u8; 3];
-
-/// The picture in rows of pixels, with the names of encodings in ROS and Foxglove.
-fn picture(
-    encoding: &str,
-    width: u32,
-    height: u32,
-    step: u32,
-    data: &[u8],
-) -> Result<Pixels, String> {
-    if width == 0 || height == 0 || u64::from(width) * u64::from(height) > PIXELS_MAX {
-        return Err(format!("{width}x{height} pixels"));
-    }
-    let layout = |format| Layout {
-        format,
-        width,
-        height,
-        stride: step,
-    };
-    let (channels, rgb): (usize, Colour) = match encoding.to_ascii_lowercase().as_str() {
-        "rgb8" => return layout(PixelFormat::Rgb3).pixels(data),
-        "bgr8" | "8uc3" => return layout(PixelFormat::Bgr3).pixels(data),
-        "yuv422_yuy2" | "yuyv" => return layout(PixelFormat::Yuyv).pixels(data),
-        "nv12" => return layout(PixelFormat::Nv12).pixels(data),
-        "yuv422" | "uyvy" => {
-            let pairs = data.chunks_exact(2).flat_map(|pair| [pair[1], pair[0]]);
-            return layout(PixelFormat::Yuyv).pixels(&pairs.collect::<Vec<u8>>());
-        }
-        "mono8" | "8uc1" => (1, |pixel| [pixel[0]; 3]),
-        "rgba8" => (4, |pixel| [pixel[0], pixel[1], pixel[2]]),
-        "bgra8" | "8uc4" => (4, |pixel| [pixel[2], pixel[1], pixel[0]]),
-        _ => {
-            return Err(format!(
-                "encoding {encoding:?}, wanted rgb8, bgr8, rgba8, bgra8, mono8, yuv422, yuv422_yuy2 or nv12"
-            ));
-        }
-    };
-    let row_bytes = channels * width as usize;
-    let step = (step as usize).max(row_bytes);
-    let wanted = step * (height as usize - 1) + row_bytes;
-    if data.len() < wanted {
-        return Err(format!("{} bytes of pixels, wanted {wanted}", data.len()));
-    }
-    let rows = data.chunks(step).take(height as usize);
-    let pixels = rows.flat_map(|row| row[..row_bytes].chunks_exact(channels));
-    Ok(Pixels::from(Picture {
-        width,
-        height,
-        rgb: pixels.flat_map(rgb).collect(),
-    }))
-}
-
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
-
-    #[test]
-    fn pixels_by_the_names_of_their_encodings() {
-        // Two rows of two pixels, with rows of 10 bytes: red and blue, then grey and black.
-        let rows = |first: &[u8], second: &[u8]| {
-            let padded = |row: &[u8]| [row, &[77; 10][row.len()..]].concat();
-            [padded(first), padded(second)].concat()
-        };
-        let colours = [200, 10, 20, 30, 40, 220, 90, 90, 90, 0, 0, 0];
-        for (encoding, data) in [
-            ("rgb8", rows(&colours[..6], &colours[6..])),
-            ("bgr8", rows(&[20, 10, 200, 220, 40, 30], &colours[6..])),
-            (
-                "RGBA8",
-                rows(
-                    &[200, 10, 20, 1, 30, 40, 220, 2],
-                    &[90, 90, 90, 3, 0, 0, 0, 4],
-                ),
-            ),
-            (
-                "bgra8",
-                rows(
-                    &[20, 10, 200, 1, 220, 40, 30, 2],
-                    &[90, 90, 90, 3, 0, 0, 0, 4],
-                ),
-            ),
-        ] {
-            let seen = picture(encoding, 2, 2, 10, &data).unwrap().picture();
-            assert_eq!(seen.rgb, colours, "{encoding}");
-            let short = picture(encoding, 2, 2, 10, &data[..12]).unwrap_err();
-            assert!(short.contains("12 bytes"), "{short}");
-        }
-        let grey = picture("mono8", 2, 2, 10, &rows(&[1, 2], &[3, 4]))
-            .unwrap()
-            .picture();
-        assert_eq!(grey.rgb, [1, 1, 1, 2, 2, 2, 3, 3, 3, 4, 4, 4]);
-        // White and black: luma first in YUYV, colour first in UYVY.
-        let wanted = [255, 255, 255, 0, 0, 0];
-        for (encoding, data) in [
-            ("yuv422_yuy2", [235, 128, 16, 128]),
-            ("yuyv", [235, 128, 16, 128]),
-            ("yuv422", [128, 235, 128, 16]),
-            ("uyvy", [128, 235, 128, 16]),
-        ] {
-            assert_eq!(
-                picture(encoding, 2, 1, 4, &data).unwrap().picture().rgb,
-                wanted,
-                "{encoding}"
-            );
-        }
-    }
-
-    #[test]
-    fn impossible_pictures_are_refused_before_they_cost_memory() {
-        for encoding in ["rgb8", "mono8", "yuyv"] {
-            assert!(picture(encoding, 0, 5, 0, &[0; 64]).is_err());
-            assert!(picture(encoding, u32::MAX, u32::MAX, 0, &[0; 64]).is_err());
-            assert!(picture(encoding, 5, 5, u32::MAX, &[0; 64]).is_err());
-        }
-        let unknown = picture("bayer_rggb8", 2, 2, 0, &[0; 64]).unwrap_err();
-        assert!(
-            unknown.contains("bayer_rggb8") && unknown.contains("rgb8"),
-            "{unknown}"
-        );
-    }
 
     #[test]
     fn no_message_is_trusted() {

@@ -17,8 +17,8 @@ macro_rules! sources {
       random pixels
   DIR[?fps=10]
       folder of PNG or JPEG images in the order of their names, 10 a second unless ?fps= is given
-  FILE
-      one image, or a video (through ffmpeg)\n",
+  FILE[?fps=20]
+      one image, or a video (through ffmpeg); ?fps= is for raw streams (.h264, .hevc, .mjpeg), which have no times\n",
             $after
         )
     };
@@ -31,8 +31,8 @@ pub const SOURCES: &str = sources!(
       rendered drive; the fog has severity 3 at 20 s and is gone at 40 s;
       also size=WxH, stretch=M, unlit=1, without=ELEMENT, and the looks sim-realistic and game\n",
     "  FILE.mcap[?topic=/camera]
-      recording with images of ROS 2 or Foxglove: the topic that ?topic= names, or its only topic
-      with images
+      recording with images of ROS 2 or Foxglove, or the folder of one in parts: the topic that
+      ?topic= names, or its only topic with images
   DIR or FILE and ?condition=fog:3@20-40
       the same under a rendered condition (DIR?fps=10&condition=...)"
 );
