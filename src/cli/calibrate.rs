@@ -8,6 +8,7 @@ use gapwatch::calibration::shard::Shard;
 use gapwatch::calibration::survey::store::SurveyStore;
 use gapwatch::calibration::{FarDrives, Shown, Target, with_conditions};
 use gapwatch::capture::drives;
+use gapwatch::model::data_files_of;
 use gapwatch::reference::gap::Metric;
 use gapwatch::reference::gap::energy_norm::SPANS_OWN;
 use gapwatch::reference::{
@@ -102,7 +103,10 @@ fn check_out(args: &CalibrateArgs) -> anyhow::Result<()> {
     let files = files
         .iter()
         .filter_map(|(option, file)| Some((*option, file.as_ref()?.to_str()?)));
-    check_is_no_input(&args.out, typed.chain(named).chain(files))
+    let weights = args.model.model.as_deref().map(data_files_of);
+    let weights = weights.iter().flatten();
+    let weights = weights.filter_map(|file| Some(("--model", file.to_str()?)));
+    check_is_no_input(&args.out, typed.chain(named).chain(files).chain(weights))
 }
 
 fn sources(args: &CalibrateArgs) -> anyhow::Result<Vec<PlannedDrive>> {

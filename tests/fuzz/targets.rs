@@ -538,6 +538,7 @@ fn onnx() -> Target {
             let spec = ModelSpec {
                 name: "damaged".to_owned(),
                 onnx: Cow::Owned(input.to_vec()),
+                data: Vec::new(),
                 taps: vec!["tap".to_owned()],
                 lane: None,
                 preprocessing: Preprocessing {
