@@ -15,7 +15,6 @@
 //!         vouched, rewritten
 //! ```
 
-use std::ops::Deref;
 use std::sync::Arc;
 
 use sha2::{Digest, Sha256};
@@ -25,7 +24,7 @@ use tract_onnx::prelude::*;
 use tract_onnx::tract_hir::infer::InferenceModelExt;
 
 use crate::model::vectors::Vectors;
-use crate::model::{ModelSpec, TAPS_MAX, onnx_file};
+use crate::model::{ModelSpec, onnx_file};
 
 mod buffers;
 mod error;
@@ -37,7 +36,10 @@ mod kernel;
 mod layout;
 mod loops;
 mod lowering;
+mod maps;
+mod nearest;
 mod opened;
+mod parts;
 mod plan;
 mod rewritten;
 mod steps;
@@ -54,14 +56,13 @@ pub use error::EncoderError;
 use guard::contained;
 pub use guard::in_tract;
 use inference::{admits, broken_constant, largest, root};
+pub use maps::{FeatureMap, FeatureMaps};
+use maps::{feature_map, run_in_tract};
 use plan::Plan;
 use trial::Trial;
 
 /// Largest number of elements of one value inside a model: half a GiB of 32-bit floats, eight times the largest input.
 const VOLUME_MAX: u64 = 1 << 27;
-
-/// Largest number of outputs of an encoder: the taps and the lane head.
-const OUTPUTS_MAX: usize = TAPS_MAX + 1;
 
 /// A loaded model, shared between threads.
 #[derive(Clone)]
@@ -88,45 +89,6 @@ pub enum Executor {
     Fastest,
     /// tract.
     Tract,
-}
-
-/// Activations of one tapped block.
-#[derive(Clone, Copy)]
-pub struct FeatureMap<'a> {
-    /// Channels, height, width.
-    pub shape: [usize; 3],
-    /// `[channels, height, width]`, raw activations of any sign.
-    pub activations: &'a [f32],
-}
-
-/// Feature maps of one picture, in the order of the taps, the lane head's logits last.
-pub struct FeatureMaps<'a> {
-    maps: [FeatureMap<'a>; OUTPUTS_MAX],
-    count: usize,
-}
-
-impl<'a> FeatureMaps<'a> {
-    fn collect(maps: impl Iterator<Item = Result<FeatureMap<'a>, String>>) -> Result<Self, String> {
-        let nothing = FeatureMap {
-            shape: [0; 3],
-            activations: &[],
-        };
-        let mut all = [nothing; OUTPUTS_MAX];
-        let mut count = 0;
-        for (place, map) in all.iter_mut().zip(maps) {
-            *place = map?;
-            count += 1;
-        }
-        Ok(Self { maps: all, count })
-    }
-}
-
-impl<'a> Deref for FeatureMaps<'a> {
-    type Target = [FeatureMap<'a>];
-
-    fn deref(&self) -> &Self::Target {
-        &self.maps[..self.count]
-    }
 }
 
 /// Adds at least `count` products in registers with the fastest vectors of this processor, and returns how many. This
@@ -318,29 +280,6 @@ impl EncoderSession {
             }
         }
     }
-}
-
-fn run_in_tract(
-    state: &mut TypedSimpleState,
-    shape: &[usize],
-    input: &[f32],
-) -> Result<TVec<TValue>, String> {
-    let input = Tensor::from_shape(shape, input).map_err(|e| root(&e))?;
-    contained(|| state.run(tvec!(input.into())))?.map_err(|e| root(&e))
-}
-
-fn feature_map(output: &Tensor) -> Result<FeatureMap<'_>, String> {
-    let [_, channels, height, width] = *output.shape() else {
-        return Err(format!("a tap has shape {:?}", output.shape()));
-    };
-    let activations = output
-        .try_as_plain_ram()
-        .and_then(|plain| plain.as_slice::<f32>())
-        .map_err(|e| root(&e))?;
-    Ok(FeatureMap {
-        shape: [channels, height, width],
-        activations,
-    })
 }
 
 /// Our own plan for a model, if it knows all of the model's operators.

@@ -7,11 +7,12 @@ use tract_onnx::pb::tensor_proto::DataType;
 use tract_onnx::pb::tensor_shape_proto::Dimension;
 use tract_onnx::pb::tensor_shape_proto::dimension::Value as Size;
 use tract_onnx::pb::type_proto::Value as Kind;
-use tract_onnx::pb::{AttributeProto, GraphProto, ModelProto, NodeProto, ValueInfoProto};
+use tract_onnx::pb::{GraphProto, ModelProto, NodeProto, ValueInfoProto};
 use tract_onnx::prelude::Framework;
 
 use super::error::EncoderError;
 use super::inference::{listed, root};
+use super::parts::{int, ints, node};
 use super::{functions, rewritten, tensors, vouched};
 use crate::model::{ModelSpec, onnx_file};
 
@@ -179,44 +180,5 @@ fn fixed(dim: &Dimension) -> Option<i64> {
     match dim.value {
         Some(Size::DimValue(size)) => Some(size),
         _ => None,
-    }
-}
-
-/// A node without names.
-pub fn node(op: &str, attribute: Vec<AttributeProto>) -> NodeProto {
-    NodeProto {
-        op_type: op.to_owned(),
-        attribute,
-        ..NodeProto::default()
-    }
-}
-
-/// An attribute that is a whole number.
-pub fn int(name: &str, value: i64) -> AttributeProto {
-    AttributeProto {
-        name: name.to_owned(),
-        i: value,
-        r#type: tract_onnx::pb::attribute_proto::AttributeType::Int as i32,
-        ..AttributeProto::default()
-    }
-}
-
-/// An attribute of whole numbers.
-pub fn ints(name: &str, values: &[i64]) -> AttributeProto {
-    AttributeProto {
-        name: name.to_owned(),
-        ints: values.to_vec(),
-        r#type: tract_onnx::pb::attribute_proto::AttributeType::Ints as i32,
-        ..AttributeProto::default()
-    }
-}
-
-/// An attribute that is a text.
-pub fn text(name: &str, value: &str) -> AttributeProto {
-    AttributeProto {
-        name: name.to_owned(),
-        s: value.as_bytes().to_vec(),
-        r#type: tract_onnx::pb::attribute_proto::AttributeType::String as i32,
-        ..AttributeProto::default()
     }
 }

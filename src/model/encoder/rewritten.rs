@@ -11,18 +11,13 @@ use tract_onnx::prelude::*;
 use tract_onnx::tract_hir::infer::Factoid;
 use tract_onnx::tract_hir::internal::InferenceOp;
 
-use super::opened::{int, ints, node, text};
-use super::vouched::Attributes;
+use super::nearest::{Line, SIMPLE, ratio};
+use super::parts::{Attributes, int, ints, node, text};
 
 type Nodes = Result<Vec<NodeProto>, String>;
 
 /// The name of tract's own Resize in its register.
 const RESIZE: &str = "Resize of tract";
-/// Marks a Resize that was an Upsample or a Resize of operator set 10; later sets have no word for how these find the
-/// nearest pixel.
-const SIMPLE: &str = "simple";
-/// Nearer than this, pixels lie exactly between two others for onnxruntime.
-const HALFWAY: f32 = 1e-6;
 
 /// tract's reader of ONNX, which reads Resize in the form of operator set 13 in older models too.
 pub fn reader() -> tract_onnx::Onnx {
@@ -61,7 +56,7 @@ pub fn without_shapes(model: &mut ModelProto) -> Result<(), String> {
 /// Whether some operator must be rewritten with [`with_shapes`].
 pub fn needs_shapes(model: &ModelProto) -> bool {
     let nodes = model.graph.iter().flat_map(|graph| &graph.node);
-    nodes.into_iter().any(|node| wants_shapes(node))
+    nodes.into_iter().any(wants_shapes)
 }
 
 /// Rewrites operators that need the shapes of their values, as tract infers them from `read`.
@@ -582,53 +577,4 @@ fn nearest(node: &NodeProto, graph: &mut GraphProto, known: &Known) -> Nodes {
     }
     nodes.push(named(self::node("Identity", Vec::new()), &[&last], output));
     Ok(nodes)
-}
-
-// Sides of pictures are small, and onnxruntime computes with 32-bit floats.
-#[allow(clippy::cast_precision_loss)]
-fn ratio(to: i64, from: i64) -> f32 {
-    to as f32 / from as f32
-}
-
-/// One axis of a picture that is resized.
-struct Line {
-    from: i64,
-    to: i64,
-    scale: f32,
-}
-
-impl Line {
-    /// The pixel of the original that is nearest to a pixel of the result; `None` for a mode that is not known. The
-    /// order of operations and their precision are those of onnxruntime: pixels lie often exactly between two others.
-    // Sides of pictures are small.
-    #[allow(clippy::cast_precision_loss, clippy::cast_possible_truncation)]
-    fn nearest(&self, pixel: i64, mode: &str, rounding: &str) -> Option<i64> {
-        let (x, from, to) = (pixel as f32, self.from as f32, self.to as f32);
-        let original = match mode {
-            "asymmetric" => x / self.scale,
-            "pytorch_half_pixel" if self.to <= 1 => 0.0,
-            "half_pixel" | "pytorch_half_pixel" => (x + 0.5) / self.scale - 0.5,
-            "tf_half_pixel_for_nn" => (x + 0.5) / self.scale,
-            "align_corners" if self.to == 1 => 0.0,
-            "align_corners" => x * (from - 1.0) / (to - 1.0),
-            "half_pixel_symmetric" => {
-                let adjustment = to / (self.scale * from);
-                from / 2.0 * (1.0 - adjustment) + (x + 0.5) / self.scale - 0.5
-            }
-            _ => return None,
-        };
-        let below = original.floor();
-        let is_halfway = (original - below - 0.5).abs() < HALFWAY;
-        let rounded = match rounding {
-            "floor" => below,
-            "ceil" => original.ceil(),
-            "round_prefer_floor" if is_halfway => below,
-            "round_prefer_ceil" if is_halfway => below + 1.0,
-            "round_prefer_floor" | "round_prefer_ceil" => original.round(),
-            SIMPLE if self.scale < 1.0 => original.ceil(),
-            SIMPLE => original.trunc(),
-            _ => return None,
-        };
-        Some((rounded as i64).clamp(0, self.from - 1))
-    }
 }

@@ -134,10 +134,10 @@ fn size_of(tensor: &TensorProto) -> Option<usize> {
 /// Which weights cannot be read, as text.
 pub fn widened(model: &mut ModelProto) -> Done {
     let inputs = model.graph.iter().flat_map(|graph| &graph.input);
-    let doubles = inputs.filter_map(|input| match input.r#type.as_ref()?.value.as_ref()? {
+    let mut kinds = inputs.filter_map(|input| match input.r#type.as_ref()?.value.as_ref()? {
         Value::TensorType(tensor) => Some(tensor.elem_type),
     });
-    let of_doubles = doubles.last() == Some(DOUBLE);
+    let of_doubles = kinds.any(|kind| kind == DOUBLE);
     let changes = |kind: i32| kind == FLOAT16 || kind == BFLOAT16 || (of_doubles && kind == DOUBLE);
     every_tensor(model, &mut |tensor| {
         if changes(tensor.data_type) {

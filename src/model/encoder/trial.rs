@@ -10,8 +10,8 @@ use tract_onnx::prelude::*;
 use super::buffers::Buffers;
 use super::guard::contained;
 use super::inference::root;
+use super::maps::{feature_map, run_in_tract};
 use super::plan::Plan;
-use super::{feature_map, run_in_tract};
 
 /// Largest difference that is taken for rounding, as a share of a tap's largest activation: a hundred times the difference
 /// in the shipped models.

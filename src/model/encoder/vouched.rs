@@ -5,7 +5,9 @@
 //! `tests/python/onnx_graphs.py`. What is known to differ there is refused here, or written otherwise in
 //! [`rewritten`](super::rewritten).
 
-use tract_onnx::pb::{AttributeProto, GraphProto, ModelProto, NodeProto};
+use tract_onnx::pb::{GraphProto, ModelProto, NodeProto};
+
+use super::parts::Attributes;
 
 /// Sets of operators that were compared. Before 7, values were broadcast in another way.
 const OPSETS: std::ops::RangeInclusive<i64> = 7..=26;
@@ -242,46 +244,6 @@ const OPERATORS: &[(&str, &[&str])] = &[
     ("Where", &[]),
     ("Xor", &[]),
 ];
-
-/// What a node's attributes are, with ONNX's own values for those that are not given.
-pub struct Attributes<'a>(pub &'a NodeProto);
-
-impl<'a> Attributes<'a> {
-    fn get(&self, name: &str) -> Option<&'a AttributeProto> {
-        self.0
-            .attribute
-            .iter()
-            .find(|attribute| attribute.name == name)
-    }
-
-    /// A whole number.
-    pub fn int(&self, name: &str, otherwise: i64) -> i64 {
-        self.get(name).map_or(otherwise, |attribute| attribute.i)
-    }
-
-    /// A float.
-    pub fn float(&self, name: &str, otherwise: f32) -> f32 {
-        self.get(name).map_or(otherwise, |attribute| attribute.f)
-    }
-
-    /// A text.
-    pub fn text(&self, name: &str, otherwise: &'static str) -> &'a str {
-        let given = self.get(name).map(|attribute| attribute.s.as_slice());
-        given.map_or(otherwise, |text| {
-            std::str::from_utf8(text).unwrap_or_default()
-        })
-    }
-
-    /// Whole numbers; none if they are not given.
-    pub fn ints(&self, name: &str) -> Option<&'a [i64]> {
-        self.get(name).map(|attribute| attribute.ints.as_slice())
-    }
-
-    /// Floats; none if they are not given.
-    pub fn floats(&self, name: &str) -> Option<&'a [f32]> {
-        self.get(name).map(|attribute| attribute.floats.as_slice())
-    }
-}
 
 /// Refuses a model with an operator that is not known to be computed as onnxruntime does.
 ///
