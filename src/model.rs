@@ -1,5 +1,9 @@
 //! The lane model: its file, how pictures are prepared for it, and its encoder.
 
+mod data_files;
+
+mod onnx_file;
+
 mod spec;
 
 pub(crate) mod vectors;
@@ -8,4 +12,6 @@ pub mod preprocess;
 
 pub mod encoder;
 
+pub use data_files::DataFile;
+pub use onnx_file::ONNX_BYTES_MAX;
 pub use spec::*;

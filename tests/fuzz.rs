@@ -127,3 +127,8 @@ fn fuzz_shards() {
 fn fuzz_onnx() {
     fuzz("onnx");
 }
+
+#[test]
+fn fuzz_onnx_with_weights_in_a_second_file() {
+    fuzz("onnx-weights");
+}

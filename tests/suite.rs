@@ -20,6 +20,7 @@ mod lanes;
 mod layers;
 mod merge;
 mod monitor;
+mod onnx_models;
 mod oracle;
 mod oracle_spans;
 mod outputs;

@@ -9,6 +9,7 @@ mod timeline;
 
 use std::ffi::OsString;
 use std::io::{BufReader, Read};
+use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStdout, Command, ExitStatus, Stdio};
 use std::time::Duration;
@@ -103,6 +104,8 @@ impl VideoSource {
             .stdin(Stdio::null())
             .stdout(Stdio::piped())
             .stderr(Stdio::piped())
+            // A terminal sends Ctrl-C to its whole group; the frames that are on their way are still read.
+            .process_group(0)
             .spawn()
             .map_err(|error| fail(missing("ffmpeg", &error)))?;
         let (Some(frames), Some(said)) = (ffmpeg.stdout.take(), ffmpeg.stderr.take()) else {

@@ -20,13 +20,36 @@ const PREFIX: &str = ".gapwatch-";
 /// # Errors
 /// When it cannot be read, or when it is larger.
 pub fn read_whole(path: &Path, most: u64) -> io::Result<Vec<u8>> {
+    read_to_end(File::open(path)?, most)
+}
+
+fn read_to_end(file: File, most: u64) -> io::Result<Vec<u8>> {
     let mut bytes = Vec::new();
-    File::open(path)?.take(most + 1).read_to_end(&mut bytes)?;
+    file.take(most + 1).read_to_end(&mut bytes)?;
     if bytes.len() as u64 > most {
         let why = format!("more than {most} bytes, which is too large for this kind of file");
         return Err(io::Error::new(io::ErrorKind::FileTooLarge, why));
     }
     Ok(bytes)
+}
+
+/// Like [`read_whole`], for a plain file alone.
+///
+/// # Errors
+/// Like [`read_whole`], and when it is a link, a folder, a device or a pipe.
+pub fn read_plain(path: &Path, most: u64) -> io::Result<Vec<u8>> {
+    // A pipe without a writer would wait for one.
+    let flags = OFlags::RDONLY | OFlags::NOFOLLOW | OFlags::NONBLOCK | OFlags::CLOEXEC;
+    let wrong = |what: &str| io::Error::new(io::ErrorKind::InvalidInput, what);
+    let opened = rustix::fs::open(path, flags, Mode::empty()).map_err(|error| match error {
+        rustix::io::Errno::LOOP => wrong("it is a link"),
+        error => error.into(),
+    })?;
+    let file = File::from(opened);
+    if !file.metadata()?.is_file() {
+        return Err(wrong("it is not a plain file"));
+    }
+    read_to_end(file, most)
 }
 
 /// Like [`read_whole`], for text. A byte order mark in front of it, as editors of Windows write it, is left out.
@@ -236,6 +259,27 @@ mod tests {
             .unwrap();
         assert_eq!(error.kind(), io::ErrorKind::NotFound);
         assert_eq!(error.to_string(), "No such file or directory (os error 2)");
+    }
+
+    #[test]
+    fn only_plain_files_are_read_as_such() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = |name: &str| folder.path().join(name);
+        fs::write(path("file"), "data").unwrap();
+        std::os::unix::fs::symlink("file", path("link")).unwrap();
+        rustix::fs::mkfifoat(CWD, path("pipe"), Mode::from(0o600)).unwrap();
+        assert_eq!(read_plain(&path("file"), 4).unwrap(), b"data");
+        let refused = |path: &Path, most| read_plain(path, most).unwrap_err();
+        assert_eq!(
+            refused(&path("file"), 3).kind(),
+            io::ErrorKind::FileTooLarge
+        );
+        assert_eq!(refused(&path("none"), 4).kind(), io::ErrorKind::NotFound);
+        assert!(refused(&path("link"), 4).to_string().contains("a link"));
+        for other in [path("pipe"), folder.path().to_owned()] {
+            let said = refused(&other, 4).to_string();
+            assert!(said.contains("not a plain file"), "{said}");
+        }
     }
 
     #[test]

@@ -1,41 +1,53 @@
-//! Encoder input → feature maps of the tapped blocks: together with `encoder/lowering.rs` the only file that uses
-//! tract's types.
+//! Encoder input → feature maps of the tapped blocks: this file and those below it are the only ones that use tract's
+//! types.
 //!
-//! Any ONNX encoder with one picture input `[1, 3, H, W]` can be used. The taps are named, and whatever does not lead
-//! to them (for example a lane head that is not asked for) is removed before the graph is optimised.
+//! Any ONNX encoder with one picture input can be used. The taps are named, and whatever does not lead to them (for
+//! example a lane head that is not asked for) is removed before the graph is read. An operator that is not known to be
+//! computed as onnxruntime does is refused by name.
 //!
 //! tract reads every model. Graphs that consist of the few operators of lane models then run in our own executor, which
-//! takes a third of tract's time. All other graphs run in tract:
+//! takes a third of tract's time. All other graphs run in tract. Both are first compared with tract's graph before it is
+//! optimised:
 //!
 //! ```text
-//! ONNX -> tract's typed graph -> Graph of our operators -> Plan of steps -> Buffers of one thread
-//!         encoder                lowering, graph           plan, layout     buffers, steps, kernel
+//! ONNX -> what tract reads right -> tract's typed graph -> Graph of our operators -> Plan of steps -> Buffers of one thread
+//!         opened, tensors, functions,  encoder, trial      lowering, graph           plan, layout     buffers, steps, kernel
+//!         vouched, rewritten
 //! ```
 
-use std::ops::Deref;
 use std::sync::Arc;
 
 use sha2::{Digest, Sha256};
+use tract_onnx::model::ParseResult;
+use tract_onnx::pb::ModelProto;
 use tract_onnx::prelude::*;
 use tract_onnx::tract_hir::infer::InferenceModelExt;
 
 use crate::model::vectors::Vectors;
-use crate::model::{ModelSpec, TAPS_MAX};
+use crate::model::{ModelSpec, onnx_file};
 
 mod buffers;
 mod error;
+mod functions;
 mod graph;
 mod guard;
 mod inference;
 mod kernel;
 mod layout;
-mod limits;
 mod loops;
 mod lowering;
+mod maps;
+mod nearest;
+mod opened;
+mod parts;
 mod plan;
+mod rewritten;
 mod steps;
+mod tensors;
 #[cfg(test)]
 mod tests;
+mod trial;
+mod vouched;
 #[cfg(target_arch = "x86_64")]
 mod x86;
 
@@ -43,18 +55,14 @@ use buffers::Buffers;
 pub use error::EncoderError;
 use guard::contained;
 pub use guard::in_tract;
-use inference::{admits, broken_constant, largest, listed, root};
+use inference::{admits, broken_constant, largest, root};
+pub use maps::{FeatureMap, FeatureMaps};
+use maps::{feature_map, run_in_tract};
 use plan::Plan;
+use trial::Trial;
 
 /// Largest number of elements of one value inside a model: half a GiB of 32-bit floats, eight times the largest input.
 const VOLUME_MAX: u64 = 1 << 27;
-
-/// Largest difference between our executor and tract, as a share of a tap's largest activation: a hundred times the
-/// difference from rounding in the shipped models.
-const DIFFERENCE_MAX: f32 = 1e-4;
-
-/// Largest number of outputs of an encoder: the taps and the lane head.
-const OUTPUTS_MAX: usize = TAPS_MAX + 1;
 
 /// A loaded model, shared between threads.
 #[derive(Clone)]
@@ -81,45 +89,6 @@ pub enum Executor {
     Fastest,
     /// tract.
     Tract,
-}
-
-/// Activations of one tapped block.
-#[derive(Clone, Copy)]
-pub struct FeatureMap<'a> {
-    /// Channels, height, width.
-    pub shape: [usize; 3],
-    /// `[channels, height, width]`, raw activations of any sign.
-    pub activations: &'a [f32],
-}
-
-/// Feature maps of one picture, in the order of the taps, the lane head's logits last.
-pub struct FeatureMaps<'a> {
-    maps: [FeatureMap<'a>; OUTPUTS_MAX],
-    count: usize,
-}
-
-impl<'a> FeatureMaps<'a> {
-    fn collect(maps: impl Iterator<Item = Result<FeatureMap<'a>, String>>) -> Result<Self, String> {
-        let nothing = FeatureMap {
-            shape: [0; 3],
-            activations: &[],
-        };
-        let mut all = [nothing; OUTPUTS_MAX];
-        let mut count = 0;
-        for (place, map) in all.iter_mut().zip(maps) {
-            *place = map?;
-            count += 1;
-        }
-        Ok(Self { maps: all, count })
-    }
-}
-
-impl<'a> Deref for FeatureMaps<'a> {
-    type Target = [FeatureMap<'a>];
-
-    fn deref(&self) -> &Self::Target {
-        &self.maps[..self.count]
-    }
 }
 
 /// Adds at least `count` products in registers with the fastest vectors of this processor, and returns how many. This
@@ -178,112 +147,34 @@ impl Encoder {
             model: spec.name.clone(),
             why: why.to_string(),
         };
-        limits::check(&spec.onnx).map_err(|why| broken(&why))?;
-        // Shapes in the file may be for another batch or size; they are inferred again from our input.
-        let onnx = tract_onnx::onnx()
-            .with_ignore_output_shapes(true)
-            .with_ignore_value_info(true);
-        let proto = onnx
-            .proto_model_for_read(&mut spec.onnx.as_ref())
-            .map_err(|e| broken(&root(&e)))?;
-        let graph = proto
-            .graph
-            .as_ref()
-            .ok_or_else(|| broken(&"it has no graph"))?;
-        let parsed = onnx.parse(&proto, None).map_err(|e| broken(&root(&e)))?;
-        let mut model = parsed.model;
-        if let Some(name) = broken_constant(&model) {
-            return Err(broken(&format!(
-                "its constant {name} has values that are not finite"
-            )));
-        }
-        let outlets = spec
-            .taps
-            .iter()
-            .chain(lane)
-            .map(|tap| {
-                parsed
-                    .outlets_by_name
-                    .get(tap)
-                    .copied()
-                    .ok_or_else(|| EncoderError::NoTap {
-                        model: spec.name.clone(),
-                        tap: tap.clone(),
-                        known: {
-                            let outputs = graph.output.iter().map(|output| &output.name);
-                            let inner = graph.node.iter().flat_map(|node| &node.output);
-                            let inner = inner.filter(|name| {
-                                graph.output.iter().all(|output| &output.name != *name)
-                            });
-                            listed(outputs.chain(inner))
-                        },
-                    })
-            })
-            .collect::<Result<Vec<_>, _>>()?;
+        let outputs: Vec<&String> = spec.taps.iter().chain(lane).collect();
+        let mut proto = opened::opened(spec, &outputs)?;
         let (width, height) = (spec.preprocessing.width, spec.preprocessing.height);
         let input_shape = [1, 3, height as usize, width as usize];
-        let [input] = model.inputs[..] else {
-            let names: Vec<&str> = model
-                .inputs
-                .iter()
-                .map(|input| &*model.node(input.node).name)
-                .collect();
-            return Err(broken(&format!(
-                "its inputs are {names:?}; wanted one, a picture"
-            )));
-        };
-        let declared = model
-            .input_fact(0)
-            .map_err(|e| broken(&root(&e)))?
-            .shape
-            .clone();
-        if !admits(&declared, &input_shape) {
-            return Err(EncoderError::Input {
-                model: spec.name.clone(),
-                input: model.node(input.node).name.clone(),
-                found: format!("[{declared:?}]"),
-                height,
-                width,
-            });
+        let mut read = analysed(&proto, spec, input_shape)?;
+        if rewritten::needs_shapes(&proto) {
+            rewritten::with_shapes(&mut proto, &read).map_err(|why| broken(&why))?;
+            read = analysed(&proto, spec, input_shape)?;
         }
-        model
-            .set_input_fact(0, f32::fact(input_shape).into())
-            .map_err(|e| broken(&root(&e)))?;
-        model
-            .select_output_outlets(&outlets)
-            .map_err(|e| broken(&root(&e)))?;
-        model.analyse(false).map_err(|e| broken(&root(&e)))?;
-        if let Some((node, volume)) = largest(&model).filter(|&(_, volume)| volume > VOLUME_MAX) {
-            return Err(broken(&format!(
-                "its value {node} has {volume} elements, more than {VOLUME_MAX}"
-            )));
-        }
-        let typed = model.into_typed().map_err(|e| broken(&root(&e)))?;
+        let typed = read.model.into_typed().map_err(|e| broken(&root(&e)))?;
         check_shapes(&typed, spec, lane)?;
+        let takes_bytes =
+            onnx_file::described(&spec.onnx).is_ok_and(|described| described.takes_bytes);
         let own = match executor {
             Executor::Fastest => own_plan(&typed, &spec.name),
             Executor::Tract => None,
         };
-        let tract = typed
-            .into_decluttered()
-            .and_then(|m| m.into_optimized())
-            .and_then(|m| m.into_runnable())
-            .map_err(|e| broken(&root(&e)))?;
+        let trial = Trial::new(&typed, input_shape, takes_bytes).map_err(|why| broken(&why))?;
         let engine = match own {
-            Some(own) if agrees(&own, &tract, &input_shape, &spec.name) => {
-                Engine::Own(Arc::new(own))
-            }
-            _ => Engine::Tract(tract),
+            Some(own) if trial.agrees_with(&own, &spec.name) => Engine::Own(Arc::new(own)),
+            _ => Engine::Tract(trial.fastest(typed, &spec.name)),
         };
         Ok(Self {
             engine,
             taps: spec.taps.clone(),
             has_lane: lane.is_some(),
             input_shape,
-            sha256: Sha256::digest(&spec.onnx)
-                .iter()
-                .map(|byte| format!("{byte:02x}"))
-                .collect(),
+            sha256: sha256_of(spec),
         })
     }
 
@@ -309,7 +200,7 @@ impl Encoder {
         self.has_lane
     }
 
-    /// Hash of the ONNX file.
+    /// Hash of the ONNX file, followed by its files of weights in the order of their names if there are any.
     pub fn sha256(&self) -> &str {
         &self.sha256
     }
@@ -391,29 +282,6 @@ impl EncoderSession {
     }
 }
 
-fn run_in_tract(
-    state: &mut TypedSimpleState,
-    shape: &[usize],
-    input: &[f32],
-) -> Result<TVec<TValue>, String> {
-    let input = Tensor::from_shape(shape, input).map_err(|e| root(&e))?;
-    contained(|| state.run(tvec!(input.into())))?.map_err(|e| root(&e))
-}
-
-fn feature_map(output: &Tensor) -> Result<FeatureMap<'_>, String> {
-    let [_, channels, height, width] = *output.shape() else {
-        return Err(format!("a tap has shape {:?}", output.shape()));
-    };
-    let activations = output
-        .try_as_plain_ram()
-        .and_then(|plain| plain.as_slice::<f32>())
-        .map_err(|e| root(&e))?;
-    Ok(FeatureMap {
-        shape: [channels, height, width],
-        activations,
-    })
-}
-
 /// Our own plan for a model, if it knows all of the model's operators.
 fn own_plan(model: &TypedModel, name: &str) -> Option<Plan> {
     let planned = contained(|| {
@@ -426,63 +294,60 @@ fn own_plan(model: &TypedModel, name: &str) -> Option<Plan> {
         .ok()
 }
 
-/// Whether our plan gives the same result as tract for a picture of noise.
-fn agrees(plan: &Plan, tract: &Arc<TypedRunnableModel>, shape: &[usize; 4], name: &str) -> bool {
-    let compare = || {
-        let picture = noise(shape.iter().product());
-        let mut buffers = Buffers::new(plan);
-        buffers.run(plan, &picture);
-        let mut state = tract.spawn().map_err(|e| root(&e))?;
-        let theirs = run_in_tract(&mut state, shape, &picture)?;
-        let mut largest = 0.0_f32;
-        for (ours, theirs) in buffers.outputs().iter().zip(&theirs) {
-            largest = largest.max(difference(ours, feature_map(theirs)?.activations));
-        }
-        Ok(largest)
-    };
-    let difference = contained(compare).flatten();
-    match difference {
-        Ok(difference) if difference <= DIFFERENCE_MAX => true,
-        Ok(difference) => {
-            log::warn!(
-                "{name} runs in tract: our executor differs from it by {difference:e} of the largest activation"
-            );
-            false
-        }
-        Err(why) => {
-            log::warn!("{name} runs in tract: our executor cannot be compared with it: {why}");
-            false
-        }
-    }
+/// Hash of a model's bytes, followed by those of its files of weights in the order of their names.
+fn sha256_of(spec: &ModelSpec) -> String {
+    let mut hash = Sha256::new_with_prefix(&spec.onnx);
+    spec.data.iter().for_each(|file| hash.update(&file.bytes));
+    let digest = hash.finalize();
+    digest.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-/// Largest difference between activations as a share of the largest activation; infinite if some are not finite.
-fn difference(ours: &[f32], theirs: &[f32]) -> f32 {
-    let largest = theirs.iter().fold(f32::MIN_POSITIVE, |m, v| m.max(v.abs()));
-    let apart = ours.iter().zip(theirs).fold(0.0_f32, |most, (a, b)| {
-        let apart = (a - b).abs();
-        if apart.is_nan() || most.is_nan() {
-            f32::NAN
-        } else {
-            most.max(apart)
-        }
-    });
-    match apart / largest {
-        share if share.is_finite() && ours.len() == theirs.len() => share,
-        _ => f32::INFINITY,
-    }
-}
-
-/// Values from -2 to 2, which is the range of a normalised picture; always the same values.
-fn noise(count: usize) -> Vec<f32> {
-    let mut state = 1_u32;
-    // A linear congruential generator's upper bits, exact as floats.
-    #[allow(clippy::cast_precision_loss)]
-    let value = |_| {
-        state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-        (state >> 16) as f32 / 16_384.0 - 2.0
+/// A model as tract reads it, with the shapes of its values for our input.
+fn analysed(
+    proto: &ModelProto,
+    spec: &ModelSpec,
+    input_shape: [usize; 4],
+) -> Result<ParseResult, EncoderError> {
+    let broken = |why: &dyn std::fmt::Display| EncoderError::Onnx {
+        model: spec.name.clone(),
+        why: why.to_string(),
     };
-    (0..count).map(value).collect()
+    let onnx = rewritten::reader();
+    let mut read = onnx.parse(proto, None).map_err(|e| broken(&root(&e)))?;
+    let model = &mut read.model;
+    if let Some(name) = broken_constant(model) {
+        return Err(broken(&format!(
+            "its constant {name} has values that are not finite"
+        )));
+    }
+    let [input] = model.inputs[..] else {
+        let inputs = model.inputs.iter();
+        let names: Vec<&str> = inputs.map(|input| &*model.node(input.node).name).collect();
+        return Err(broken(&format!(
+            "its inputs are {names:?}; wanted one, a picture"
+        )));
+    };
+    let declared = model.input_fact(0).map_err(|e| broken(&root(&e)))?;
+    let declared = declared.shape.clone();
+    if !admits(&declared, &input_shape) {
+        return Err(EncoderError::Input {
+            model: spec.name.clone(),
+            input: model.node(input.node).name.clone(),
+            found: format!("[{declared:?}]"),
+            height: spec.preprocessing.height,
+            width: spec.preprocessing.width,
+        });
+    }
+    model
+        .set_input_fact(0, f32::fact(input_shape).into())
+        .map_err(|e| broken(&root(&e)))?;
+    model.analyse(false).map_err(|e| broken(&root(&e)))?;
+    if let Some((node, volume)) = largest(model).filter(|&(_, volume)| volume > VOLUME_MAX) {
+        return Err(broken(&format!(
+            "its value {node} has {volume} elements, more than {VOLUME_MAX}"
+        )));
+    }
+    Ok(read)
 }
 
 fn check_shapes(

@@ -5,14 +5,14 @@ use std::path::{Path, PathBuf};
 
 use crate::files::toml_keys::{self, Document, Wrong};
 use crate::files::whole_file::{read_text, read_whole};
+use crate::model::data_files::{DataFile, read_beside};
+use crate::model::onnx_file::{self, ONNX_BYTES_MAX};
 use crate::model::preprocess::{CROP_NOTHING, Preprocessing};
 
 /// Largest number of taps of a model: the CAN message has room for this many block scores.
 pub const TAPS_MAX: usize = 3;
 
-/// Largest ONNX file: a hundred times the largest lane model that is shipped, and more than a ResNet-101.
-pub const ONNX_BYTES_MAX: u64 = 256 << 20;
-/// Largest file of options beside it.
+/// Largest file of options beside an ONNX file.
 const OPTIONS_BYTES_MAX: u64 = 1 << 16;
 
 const BUILT_IN_NAME: &str = "enet-sad-lite-320x160";
@@ -26,6 +26,8 @@ pub struct ModelSpec {
     pub name: String,
     /// The ONNX file.
     pub onnx: Cow<'static, [u8]>,
+    /// Files with weights that the ONNX file names, in the order of their names; none for most models.
+    pub data: Vec<DataFile>,
     /// Names of the tapped values, 1 to [`TAPS_MAX`].
     pub taps: Vec<String>,
     /// Name of the lane head's output, if it is known: one logit for each pixel of the input.
@@ -43,7 +45,7 @@ pub struct ModelOptions {
     pub lane: Option<String>,
     /// Input size, `WxH` pixels.
     pub size: Option<String>,
-    /// Mean of red, green and blue, for values from 0 to 1.
+    /// Mean of red, green and blue, for values from 0 to 1; neither this nor `std` for a model that takes bytes.
     pub mean: Option<[f32; 3]>,
     /// Standard deviation of red, green and blue, for values from 0 to 1.
     pub std: Option<[f32; 3]>,
@@ -102,14 +104,11 @@ impl ModelSpec {
     /// # Errors
     /// When a file cannot be read, or an option is missing or out of range.
     pub fn new(file: Option<&Path>, typed: ModelOptions) -> Result<Self, ModelError> {
-        let (name, onnx, beside) = match file {
+        let (name, onnx, data, beside) = match file {
             None => {
                 let options = read_options(Path::new("built-in model"), BUILT_IN_OPTIONS)?;
-                (
-                    BUILT_IN_NAME.to_owned(),
-                    Cow::Borrowed(BUILT_IN_ONNX),
-                    options,
-                )
+                let name = BUILT_IN_NAME.to_owned();
+                (name, Cow::Borrowed(BUILT_IN_ONNX), Vec::new(), options)
             }
             Some(path) => {
                 let onnx =
@@ -117,19 +116,23 @@ impl ModelSpec {
                         path: path.to_owned(),
                         error,
                     })?;
-                (
-                    path.display().to_string(),
-                    Cow::Owned(onnx),
-                    options_beside(path)?,
-                )
+                let name = path.display().to_string();
+                // What a damaged file says of itself does not matter: the encoder refuses it.
+                let names = onnx_file::described(&onnx).unwrap_or_default().data_files;
+                let data = read_beside(path, onnx.len() as u64, &names).map_err(|what| {
+                    let model = name.clone();
+                    ModelError::Option { model, what }
+                })?;
+                (name, Cow::Owned(onnx), data, options_beside(path)?)
             }
         };
-        Self::checked(name, onnx, typed.or(beside))
+        Self::checked(name, onnx, data, typed.or(beside))
     }
 
     fn checked(
         name: String,
         onnx: Cow<'static, [u8]>,
+        data: Vec<DataFile>,
         options: ModelOptions,
     ) -> Result<Self, ModelError> {
         let wrong = |what: String| ModelError::Option {
@@ -153,10 +156,20 @@ impl ModelSpec {
         })?;
         let (width, height) =
             sides(&size).ok_or_else(|| wrong(format!("size {size}; wanted {SIZE}")))?;
-        let (Some(mean), Some(std)) = (options.mean, options.std) else {
-            return Err(missing(
-                "no normalisation; wanted --mean r,g,b and --std r,g,b for values from 0 to 1, or both in a .toml beside it",
-            ));
+        let takes_bytes = onnx_file::described(&onnx).is_ok_and(|described| described.takes_bytes);
+        let (mean, std) = match (options.mean, options.std) {
+            (None, None) if takes_bytes => BYTES,
+            _ if takes_bytes => {
+                return Err(missing(
+                    "its input takes bytes from 0 to 255 (uint8) and is normalised inside the model; wanted neither mean nor std",
+                ));
+            }
+            (Some(mean), Some(std)) => (mean, std),
+            _ => {
+                return Err(missing(
+                    "no normalisation; wanted --mean r,g,b and --std r,g,b for values from 0 to 1, or both in a .toml beside it",
+                ));
+            }
         };
         if !is_mean(&mean) {
             return Err(wrong(format!("mean {mean:?}; wanted {MEAN}")));
@@ -171,6 +184,7 @@ impl ModelSpec {
         Ok(Self {
             name,
             onnx,
+            data,
             taps,
             lane: options.lane,
             preprocessing: Preprocessing {
@@ -222,6 +236,9 @@ fn parse_options(text: &str) -> Result<ModelOptions, Wrong> {
     })
 }
 
+/// Mean and standard deviation that leave values from 0 to 255.
+const BYTES: ([f32; 3], [f32; 3]) = ([0.0; 3], [1.0 / 255.0; 3]);
+
 /// What is wanted for each option.
 const TAPS: &str = "one to three distinct names of values";
 const SIZE: &str = "WxH pixels, each from 16 to 4096";
@@ -263,7 +280,7 @@ mod tests {
     fn complaint(options: &str) -> String {
         let options = read_options(Path::new("m.toml"), options);
         options
-            .and_then(|o| ModelSpec::checked("m.onnx".into(), Cow::Borrowed(b""), o))
+            .and_then(|o| ModelSpec::checked("m.onnx".into(), Cow::Borrowed(b""), Vec::new(), o))
             .unwrap_err()
             .to_string()
     }

@@ -19,7 +19,7 @@ use gapwatch::capture::pixels::{Layout, PixelFormat};
 use gapwatch::live::board::Board;
 use gapwatch::model::encoder::Encoder;
 use gapwatch::model::preprocess::{CROP_NOTHING, Preprocessing};
-use gapwatch::model::{ModelOptions, ModelSpec};
+use gapwatch::model::{DataFile, ModelOptions, ModelSpec};
 use gapwatch::record::journal;
 use gapwatch::reference::{ModelFingerprint, Reference};
 use sha2::{Digest, Sha256};
@@ -38,7 +38,7 @@ pub type Read = Box<dyn FnMut(&[u8]) -> bool>;
 pub type Named = (&'static str, fn() -> Target);
 
 /// All of them by name.
-pub const TARGETS: [Named; 13] = [
+pub const TARGETS: [Named; 14] = [
     ("png", png),
     ("jpeg", jpeg),
     ("camera-buffers", camera_buffers),
@@ -51,7 +51,8 @@ pub const TARGETS: [Named; 13] = [
     ("bus", bus),
     ("surveys", surveys),
     ("shards", shards),
-    ("onnx", onnx),
+    ("onnx", || onnx(tiny_onnx(false))),
+    ("onnx-weights", || onnx(tiny_onnx(true))),
 ];
 
 /// A folder in memory, where there is one: reading takes most of the time.
@@ -504,8 +505,8 @@ fn block(field: u64, content: &[u8]) -> Vec<u8> {
     [bytes, content.to_vec()].concat()
 }
 
-/// A picture through a convolution of four channels, pooled, and a ReLU.
-fn tiny_onnx() -> Vec<u8> {
+/// A picture through a convolution of four channels, pooled, and a ReLU; the weights may be in a second file.
+fn tiny_onnx(outside: bool) -> Vec<u8> {
     let node = |op: &str, inputs: &[&str], output: &str, attributes: &[(&str, &[u64])]| {
         let inputs = inputs.iter().flat_map(|name| block(1, name.as_bytes()));
         let attributes = attributes.iter().flat_map(|(name, values)| {
@@ -525,8 +526,15 @@ fn tiny_onnx() -> Vec<u8> {
         .collect();
     weights.extend(number(2, 1));
     weights.extend(block(8, b"w"));
-    let values = (0..108_u8).flat_map(|n| (f32::from(n) / 108.0 - 0.5).to_le_bytes());
-    weights.extend(block(9, &values.collect::<Vec<u8>>()));
+    if outside {
+        for (key, value) in [("location", "w.bin"), ("offset", "4"), ("length", "432")] {
+            let entry = [block(1, key.as_bytes()), block(2, value.as_bytes())];
+            weights.extend(block(13, &entry.concat()));
+        }
+        weights.extend(number(14, 1));
+    } else {
+        weights.extend(block(9, &values()));
+    }
     let dims = [1, 3, 16, 32]
         .iter()
         .flat_map(|&dim| block(1, &number(1, dim)));
@@ -559,7 +567,13 @@ fn tiny_onnx() -> Vec<u8> {
     .concat()
 }
 
-fn onnx() -> Target {
+/// The weights of the tiny network.
+fn values() -> Vec<u8> {
+    let values = (0..108_u8).flat_map(|n| (f32::from(n) / 108.0 - 0.5).to_le_bytes());
+    values.collect()
+}
+
+fn onnx(seed: Vec<u8>) -> Target {
     // What tract panics on is an error, not news.
     let loud = std::panic::take_hook();
     std::panic::set_hook(Box::new(move |panic| {
@@ -568,11 +582,15 @@ fn onnx() -> Target {
         }
     }));
     Target {
-        seeds: vec![tiny_onnx()],
+        seeds: vec![seed],
         read: Box::new(|input| {
             let spec = ModelSpec {
                 name: "damaged".to_owned(),
                 onnx: Cow::Owned(input.to_vec()),
+                data: vec![DataFile {
+                    name: "w.bin".to_owned(),
+                    bytes: [vec![0; 4], values()].concat(),
+                }],
                 taps: vec!["tap".to_owned()],
                 lane: None,
                 preprocessing: Preprocessing {

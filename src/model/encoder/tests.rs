@@ -6,13 +6,16 @@
     clippy::cast_sign_loss
 )]
 
+mod files;
 mod naive;
 mod onnx;
+mod operators;
 
 use std::borrow::Cow;
 use std::path::Path;
 
 use super::graph::{Activation, Graph, NodeId, Op, Window};
+use super::trial::{DIFFERENCE_MAX, Trial, difference};
 use super::*;
 use crate::model::ModelOptions;
 use crate::model::preprocess::Preprocessing;
@@ -307,16 +310,11 @@ fn a_plan_that_differs_from_tract_is_not_used() {
             .unwrap();
         model.into_typed().unwrap()
     };
-    let tract = typed
-        .clone()
-        .into_optimized()
-        .unwrap()
-        .into_runnable()
-        .unwrap();
+    let trial = Trial::new(&typed, [1, 3, 16, 32], false).unwrap();
     let mut graph = lowering::lower(&typed).unwrap().fused();
     let agrees_with = |graph: &Graph| {
         let plan = Plan::new(graph, Vectors::available()[0]).unwrap();
-        agrees(&plan, &tract, &[1, 3, 16, 32], "tiny")
+        trial.agrees_with(&plan, "tiny")
     };
     assert!(agrees_with(&graph));
     bias_of(&mut graph)[0] += 0.01;
@@ -452,62 +450,3 @@ fn an_input_of_another_size_is_refused() {
         "{why}"
     );
 }
-
-fn refusal(onnx: Vec<u8>) -> String {
-    let spec = ModelSpec {
-        onnx: Cow::Owned(onnx),
-        ..spec_of(&[])
-    };
-    Encoder::load(&spec).err().unwrap().to_string()
-}
-
-#[test]
-fn a_file_that_needs_other_files_is_refused() {
-    let outside = block(13, &[block(1, b"location"), block(2, b"../w.bin")].concat());
-    let weights = |more: &[u8]| {
-        let tensor = [tensor("w3", &[3, 3, 3, 3], &[]), more.to_vec()].concat();
-        let graph = [block(1, &relu("tap", "image")), block(5, &tensor)].concat();
-        [number(1, 8), block(7, &graph)].concat()
-    };
-    for more in [outside.clone(), number(14, 1)] {
-        let said = refusal(weights(&more));
-        assert!(said.contains("external data"), "{said}");
-    }
-    // Also in an attribute of a node of a graph in an attribute.
-    let constant = node(
-        "Constant",
-        &[],
-        "c",
-        &[[block(1, b"value"), block(5, &outside)].concat()],
-    );
-    let inner = block(6, &block(1, &constant));
-    let said = refusal(block(
-        7,
-        &block(1, &node("If", &["image"], "tap", &[inner])),
-    ));
-    assert!(said.contains("external data"), "{said}");
-}
-
-#[test]
-fn a_file_that_would_cost_too_much_is_refused_before_it_is_read() {
-    // They have two bytes each in the file, and hundreds in memory.
-    let nodes = block(7, &block(1, &[]).repeat(20_001));
-    assert!(refusal(nodes).contains("more than 20000 nodes"));
-    let attributes = block(7, &block(1, &block(5, &[]).repeat(400_001)));
-    assert!(refusal(attributes).contains("more than 400000 parts"));
-    let mut deep = Vec::new();
-    for _ in 0..20 {
-        deep = block(1, &block(5, &block(6, &deep)));
-    }
-    assert!(refusal(block(7, &deep)).contains("nested deeper"));
-    assert!(limits::check(&vec![0; 257 << 20]).is_err_and(|why| why.contains("bytes")));
-}
-
-#[test]
-fn every_shipped_model_is_far_within_the_limits() {
-    for spec in shipped() {
-        assert_eq!(limits::check(&spec.onnx), Ok(()), "{}", spec.name);
-    }
-}
-
-// Tiny ONNX files, written field by field.

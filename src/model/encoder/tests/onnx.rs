@@ -102,6 +102,7 @@ pub fn spec_of(nodes: &[Vec<u8>]) -> ModelSpec {
     ModelSpec {
         name: "tiny".to_owned(),
         onnx: Cow::Owned(model(nodes)),
+        data: Vec::new(),
         taps: vec!["tap".to_owned()],
         lane: None,
         preprocessing: Preprocessing {

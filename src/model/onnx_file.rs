@@ -1,10 +1,17 @@
-//! Limits of what an ONNX file may hold, checked on its bytes before they are used.
+//! What an ONNX file says of itself before it is used: its size, the files with its weights, the type of its picture.
 //!
 //! It reads the protobuf's fields without keeping any: a field of two bytes can become a structure of hundreds of
-//! bytes, so fields are counted before they are parsed. Data outside the file are refused with an error of their own.
-//! The graph itself is checked by tract.
+//! bytes, so fields are counted before they are parsed. The graph itself is read in [`encoder`](super::encoder).
 
-use crate::model::ONNX_BYTES_MAX;
+use std::collections::{BTreeSet, HashSet};
+
+/// Largest ONNX file, and its files of weights together: a hundred times the largest lane model that is shipped, and more
+/// than a ResNet-101.
+pub const ONNX_BYTES_MAX: u64 = 256 << 20;
+/// Largest number of files with weights.
+const DATA_FILES_MAX: usize = 64;
+/// `UINT8` among the types of ONNX's tensors.
+const UINT8: u64 = 2;
 
 /// Largest number of nodes. The largest shipped model has 180; a network with a hundred layers has some thousands.
 const NODES_MAX: u64 = 20_000;
@@ -70,38 +77,41 @@ impl Message {
 struct Counts {
     nodes: u64,
     parts: u64,
+    data_files: BTreeSet<String>,
 }
 
-/// Refuses a file that is too large, holds too much or needs other files.
+/// What a file says of itself.
+#[derive(Debug, Default, PartialEq)]
+pub struct Described {
+    /// Names of the files with weights (external data), as the file has them.
+    pub data_files: BTreeSet<String>,
+    /// Whether the picture is given as bytes from 0 to 255.
+    pub takes_bytes: bool,
+}
+
+/// Reads what a file says of itself.
 ///
 /// # Errors
-/// What was found and what is allowed, as text.
-pub fn check(onnx: &[u8]) -> Result<(), String> {
+/// What was found and what is allowed, as text, if the file is too large or holds too much.
+pub fn described(onnx: &[u8]) -> Result<Described, String> {
     let bytes = onnx.len() as u64;
     if bytes > ONNX_BYTES_MAX {
         return Err(format!("{bytes} bytes, more than {ONNX_BYTES_MAX}"));
     }
-    walk(onnx, Message::Model, 0, &mut Counts::default())
+    let mut counts = Counts::default();
+    walk(onnx, Message::Model, 0, &mut counts)?;
+    Ok(Described {
+        data_files: counts.data_files,
+        takes_bytes: takes_bytes(onnx),
+    })
 }
 
 fn walk(mut rest: &[u8], message: Message, depth: u32, counts: &mut Counts) -> Result<(), String> {
     if depth > DEPTH_MAX {
         return Err(format!("nested deeper than {DEPTH_MAX} levels"));
     }
-    while !rest.is_empty() {
-        let Some((field, value)) = next_field(&mut rest) else {
-            // What cannot be read as a field may be text that only looked like a message; otherwise tract reports the
-            // error.
-            return Ok(());
-        };
-        if message == Message::Tensor
-            && (field == 13 || (field == 14 && matches!(value, Value::Number(place) if place != 0)))
-        {
-            return Err(
-                "a tensor's data are in another file (external data); wanted one file with all weights"
-                    .to_owned(),
-            );
-        }
+    // What cannot be read as a field may be text that only looked like a message; otherwise tract reports the error.
+    while let Some((field, value)) = next_field(&mut rest) {
         let Value::Bytes(content) = value else {
             continue;
         };
@@ -115,6 +125,15 @@ fn walk(mut rest: &[u8], message: Message, depth: u32, counts: &mut Counts) -> R
         let Some(inner) = message.of_field(field) else {
             continue;
         };
+        if (message, field) == (Message::Tensor, 13)
+            && text(content, 1).as_deref() == Some("location")
+            && let Some(location) = text(content, 2)
+        {
+            counts.data_files.insert(location);
+            if counts.data_files.len() > DATA_FILES_MAX {
+                return Err(format!("weights in more than {DATA_FILES_MAX} files"));
+            }
+        }
         if inner == Message::Node {
             counts.nodes += 1;
             if counts.nodes > NODES_MAX {
@@ -124,6 +143,44 @@ fn walk(mut rest: &[u8], message: Message, depth: u32, counts: &mut Counts) -> R
         walk(content, inner, depth + 1, counts)?;
     }
     Ok(())
+}
+
+/// Whether an input of the graph that is no weight is of bytes.
+fn takes_bytes(onnx: &[u8]) -> bool {
+    let Some(graph) = messages(onnx, 7).last() else {
+        return false;
+    };
+    let weights: HashSet<String> = messages(graph, 5)
+        .filter_map(|tensor| text(tensor, 8))
+        .collect();
+    messages(graph, 11).any(|input| {
+        let kind = messages(input, 2).last();
+        let tensor = kind.and_then(|kind| messages(kind, 1).last());
+        let is_weight = text(input, 1).is_some_and(|name| weights.contains(&name));
+        !is_weight && tensor.is_some_and(|tensor| number(tensor, 1) == Some(UINT8))
+    })
+}
+
+/// The contents of a message's fields with this number.
+fn messages(mut rest: &[u8], wanted: u64) -> impl Iterator<Item = &[u8]> {
+    std::iter::from_fn(move || next_field(&mut rest)).filter_map(
+        move |(field, value)| match value {
+            Value::Bytes(content) if field == wanted => Some(content),
+            _ => None,
+        },
+    )
+}
+
+fn number(mut rest: &[u8], wanted: u64) -> Option<u64> {
+    std::iter::from_fn(move || next_field(&mut rest)).find_map(|(field, value)| match value {
+        Value::Number(number) if field == wanted => Some(number),
+        _ => None,
+    })
+}
+
+fn text(message: &[u8], field: u64) -> Option<String> {
+    let content = messages(message, field).last()?;
+    String::from_utf8(content.to_vec()).ok()
 }
 
 enum Value<'a> {
