@@ -15,7 +15,7 @@ use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use super::names::name_order;
+use super::name_order::name_order;
 use super::{Frame, FrameSource, PictureError, SourceError};
 use clock::Clock;
 use contents::{Contents, all_topics, chosen};

@@ -178,7 +178,7 @@ fn open_folder(name: &str, file: &FileName<'_>) -> Result<Box<dyn FrameSource>, 
     };
     let images = images::ImageSource::folder(path, fps.unwrap_or(images::FOLDER_FPS));
     #[cfg(feature = "lab")]
-    if topic.is_some() || matches!(images, Err(SourceError::Empty(_))) {
+    if topic.is_some() || matches!(images, Err(SourceError::Empty { .. })) {
         let parts = recording::parts(path)?;
         if !parts.is_empty() && fps.is_some() {
             return wrong(OF_RECORDING);
