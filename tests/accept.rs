@@ -142,7 +142,7 @@ fn a_base_is_read_and_never_written_and_a_short_road_is_warned_of() {
     let over = ["calibrate", "--base", "short.json", "--out", "./short.json"];
     let more = ["--accept-as", "more=scene:game?seed=5&seconds=20&fps=4"];
     let refused = gapwatch_in(folder, &[&over[..], &more].concat()).refusal();
-    assert!(refused.contains("--out is the file of --base"), "{refused}");
+    assert!(refused.contains("--out is what --base reads"), "{refused}");
     assert_eq!(fs::read(folder.join("short.json")).unwrap(), before);
     let nothing = ["calibrate", "--base", "built-in", "--out", "no.json"];
     let refused = gapwatch_in(folder, &nothing).refusal();
@@ -414,7 +414,7 @@ fn an_input_is_never_written_over() {
         let args = ["calibrate", "--sim", SMALL, "--out", out, option, source];
         let refused = gapwatch_in(folder, &args).refusal();
         assert!(
-            refused.contains("--out is a ") && refused.contains(option),
+            refused.contains("--out is ") && refused.contains(option),
             "{refused}"
         );
     }

@@ -261,7 +261,7 @@ fn calibrate_merge_and_doctor_tell_of_drives_that_are_louder_than_asked() {
         "--out",
         "r.json",
     ]));
-    warned(run(&["merge", "r.json", "--out", "r.json"]));
+    warned(run(&["merge", "r.json", "--out", "merged-r.json"]));
     let board = DESK.replace("strict = true", "strict = true\nreference = \"r.json\"");
     let ran = doctor(folder.path(), &board, &["--format", "json"]);
     let all = checks(&ran);

@@ -131,12 +131,12 @@ fn texts_are_read_with_the_byte_order_mark_of_windows_and_in_another_encoding_re
         "--reference",
         "r.json",
         "--journal",
-        "j.jsonl",
+        "replayed.jsonl",
     ];
     fs::write(place.join("r.json"), with_mark(&reference)).unwrap();
     gapwatch_in(place, &replay).ok();
     let report = ["report", "j.jsonl", "--out", "r.html"];
-    let journal = fs::read_to_string(place.join("j.jsonl")).unwrap();
+    let journal = fs::read_to_string(place.join("replayed.jsonl")).unwrap();
     fs::write(place.join("j.jsonl"), with_mark(&journal)).unwrap();
     gapwatch_in(place, &report).ok();
     let board =

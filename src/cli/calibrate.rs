@@ -161,16 +161,6 @@ fn accept(
         bail!("no road; wanted --accept or --accept-as with --base");
     }
     let file = (base != Reference::BUILT_IN).then(|| Path::new(base));
-    let same = |file: &Path| match (file.canonicalize(), args.out.canonicalize()) {
-        (Ok(base), Ok(out)) => base == out,
-        _ => false,
-    };
-    if file.is_some_and(same) {
-        bail!(
-            "{}: --out is the file of --base; wanted another name",
-            args.out.display()
-        );
-    }
     let reference = Reference::read(file)?;
     if reference.metric != Metric::Mahalanobis {
         bail!(

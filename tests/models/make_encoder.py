@@ -1,5 +1,8 @@
-"""Makes `encoder.onnx` and `encoder.onnx.data` beside this file: a small encoder as PyTorch's exporter writes it, its weights
-in a second file. With `--all FOLDER` it writes the ways of exporting that `tests/python/check_exports.py` compares.
+"""Makes the ONNX files beside this file: a small encoder in the ways in which PyTorch exports models.
+
+- `encoder.onnx` with `encoder.onnx.data`: today's default, weights in a second file
+- `encoder-18.onnx`, `encoder-23.onnx`: the same exporter with these sets of operators, in one file
+- `encoder-before.onnx`: the exporter before it, set 13
 
     pip install torch onnxscript
     python tests/models/make_encoder.py
@@ -35,27 +38,23 @@ class Encoder(nn.Module):
         return functional.avg_pool2d(functional.celu(x, 1.5), 2, ceil_mode=True)
 
 
-def export(path: Path, **options: object) -> None:
+def export(name: str, **options: object) -> None:
+    path = Path(__file__).with_name(name)
     torch.manual_seed(1)
     model = Encoder().eval()
     picture = torch.zeros(1, 3, 32, 64)
     names = {"input_names": ["image"], "output_names": ["features"]}
     torch.onnx.export(model, (picture,), str(path), **names, **options)
+    # Where in which source file a node comes from is left out.
+    exported = onnx.load(path, load_external_data=False)
+    for part in [exported.graph, *exported.graph.node, *exported.graph.value_info]:
+        del part.metadata_props[:]
+        part.doc_string = ""
+    onnx.save(exported, path)
 
 
 if __name__ == "__main__":
-    if sys.argv[1:2] == ["--all"]:
-        folder = Path(sys.argv[2])
-        export(folder / "today.onnx")
-        export(folder / "one-file.onnx", external_data=False)
-        export(folder / "set-18.onnx", opset_version=18)
-        export(folder / "set-23.onnx", opset_version=23)
-        export(folder / "as-before.onnx", dynamo=False, opset_version=13)
-    else:
-        path = Path(__file__).with_name("encoder.onnx")
-        export(path)
-        # Where in which source file a node comes from is left out.
-        model = onnx.load(path, load_external_data=False)
-        for part in [model.graph, *model.graph.node, *model.graph.value_info]:
-            del part.metadata_props[:]
-        onnx.save(model, path)
+    export("encoder.onnx")
+    export("encoder-18.onnx", external_data=False, opset_version=18)
+    export("encoder-23.onnx", external_data=False, opset_version=23)
+    export("encoder-before.onnx", dynamo=False, opset_version=13)
