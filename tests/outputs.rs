@@ -157,14 +157,23 @@ fn no_command_writes_over_a_file_of_another_kind() {
         let said = refused(folder.path(), args);
         assert!(said.contains("wanted"), "{said}");
     }
-    let board = "[camera]\nsource = \"scene:sim?seed=1&seconds=2\"\n[can]\nsink = \"none\"\n";
+}
+
+#[test]
+fn what_the_monitor_finds_in_its_place_is_kept() {
+    let folder = inputs();
+    let board =
+        "[camera]\nsource = \"scene:sim?seed=1&seconds=1\"\n[can]\nsink = \"none\"\nlisten_s = 0\n";
     fs::write(folder.path().join("board.toml"), board).unwrap();
     let live = ["monitor", "--board", "board.toml", "--journal"];
-    let said = refused(folder.path(), &[&live[..], &["notes.txt"]].concat());
-    assert!(said.contains("not a journal"), "{said}");
-    // The earlier file is kept under this name.
-    fs::write(folder.path().join("new.jsonl.1"), "notes").unwrap();
-    refused(folder.path(), &[&live[..], &["new.jsonl"]].concat());
+    refused(folder.path(), &[&live[..], &["board.toml"]].concat());
+    for _ in 0..3 {
+        gapwatch_in(folder.path(), &[&live[..], &["notes.txt"]].concat()).ok();
+    }
+    let read = |name: &str| fs::read_to_string(folder.path().join(name)).unwrap();
+    assert_eq!(read("notes.txt.1"), "of the drive");
+    assert!(read("notes.txt").starts_with("{\"gapwatch_journal\""));
+    assert!(read("notes.txt.2").starts_with("{\"gapwatch_journal\""));
 }
 
 #[test]

@@ -161,8 +161,8 @@ fn what_is_no_journal_is_refused_and_leaves_nothing_behind() {
         ),
         ("picture", "r.html", "journal picture, line 1"),
         ("good", "no/such/r.html", "cannot write no/such/r.html"),
-        ("good", "good", "another file"),
-        ("good", "./good", "another file"),
+        ("good", "good", "another name"),
+        ("good", "./good", "another name"),
     ] {
         let line = gapwatch_in(folder.path(), &["report", journal, "--out", out]).refusal();
         assert!(line.contains(said), "{line}");

@@ -44,7 +44,7 @@ impl LogSink {
     /// # Errors
     /// [`SinkError::Open`] when `path` cannot be written.
     pub fn live(path: &Path) -> Result<Self, SinkError> {
-        Self::of_file(path, LiveFile::create(path))
+        Self::of_file(path, LiveFile::create(path, begins_like_one))
     }
 
     fn of_file(path: &Path, file: io::Result<impl Output + 'static>) -> Result<Self, SinkError> {
@@ -88,6 +88,13 @@ fn line(at: Duration, id: u16, sign: &str, data: &[u8]) -> String {
     let (seconds, micros) = (at.as_secs(), at.subsec_micros());
     let bytes: String = data.iter().map(|byte| format!("{byte:02X}")).collect();
     format!("({seconds:010}.{micros:06}) {INTERFACE} {id:03X}{sign}{bytes}\n")
+}
+
+/// Whether a file that begins like this is a CAN log.
+pub fn begins_like_one(head: &[u8]) -> bool {
+    let text = String::from_utf8_lossy(head);
+    let stamp = text.strip_prefix('(').and_then(|rest| rest.split_once(')'));
+    stamp.is_some_and(|(stamp, _)| stamp.parse::<f64>().is_ok())
 }
 
 #[cfg(test)]

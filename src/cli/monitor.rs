@@ -33,7 +33,7 @@ use gapwatch::reference::Reference;
 use super::board_settings::{other_rate, periods, read_reference, warn_on};
 use super::live::Live;
 use super::loaded_model::LoadedModel;
-use super::output::{Kind, check_live_output};
+use super::output::check_is_no_input;
 use super::state_lines::{evidence_line, state_line};
 use super::{service, signals};
 use crate::cli::args::MonitorArgs;
@@ -141,7 +141,7 @@ pub fn run(args: &MonitorArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
     Ok(0)
 }
 
-/// Checks that the outputs are no inputs and no files of another kind.
+/// Checks that the outputs are no inputs. Earlier files of any kind are kept beside them.
 fn check_outputs(args: &MonitorArgs, board: &Board) -> anyhow::Result<()> {
     let files = [
         ("--board", Some(&args.board)),
@@ -155,12 +155,10 @@ fn check_outputs(args: &MonitorArgs, board: &Board) -> anyhow::Result<()> {
         .chain([("the board's source", board.camera.source.as_str())])
         .collect();
     if let Some(file) = &args.journal {
-        check_live_output("--journal", file, Kind::Journal, &inputs)?;
+        check_is_no_input("--journal", file, inputs.iter().copied())?;
     }
     match &board.can.sink {
-        Sink::LogFile(file) => {
-            check_live_output("the board's CAN log", file, Kind::CanLog, &inputs)
-        }
+        Sink::LogFile(file) => check_is_no_input("the board's CAN log", file, inputs),
         _ => Ok(()),
     }
 }

@@ -5,6 +5,8 @@ use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use anyhow::bail;
+use gapwatch::can::log;
+use gapwatch::record::journal;
 
 /// Bytes at the beginning of a file by which its kind is known.
 const HEAD: u64 = 1_024;
@@ -46,11 +48,8 @@ impl Kind {
         let text = String::from_utf8_lossy(head);
         let text = text.trim_start_matches('\u{feff}').trim_start();
         match self {
-            Self::Journal => text.starts_with("{\"gapwatch_journal\""),
-            Self::CanLog => {
-                let stamp = text.strip_prefix('(').and_then(|rest| rest.split_once(')'));
-                stamp.is_some_and(|(stamp, _)| stamp.parse::<f64>().is_ok())
-            }
+            Self::Journal => journal::begins_like_one(head),
+            Self::CanLog => log::begins_like_one(head),
             Self::Recording => head.starts_with(b"\x89MCAP0\r\n") && text.contains("gapwatch "),
             Self::Reference => {
                 text.starts_with('{')
@@ -69,9 +68,7 @@ impl Kind {
 }
 
 /// Refuses an output that would replace an input, or a file of another kind. Empty files, devices and pipes are taken.
-///
-/// `inputs` are an option (or what else names the input) and a name of each: sources as typed, with what may follow `?`,
-/// and other files and folders. Names that are no files, such as rendered drives, are passed over.
+/// `inputs` are as for [`check_is_no_input`].
 ///
 /// # Errors
 /// When writing `out` would destroy something.
@@ -81,7 +78,31 @@ pub fn check_output<'a>(
     kind: Kind,
     inputs: impl IntoIterator<Item = (&'a str, &'a str)>,
 ) -> anyhow::Result<()> {
-    // A file that does not exist can be neither.
+    check_is_no_input(option, out, inputs)?;
+    if out.is_file() && !has_kind(out, kind) {
+        bail!(
+            "{}: {option} exists and is not {}, and would be lost; wanted another name",
+            out.display(),
+            kind.name()
+        );
+    }
+    Ok(())
+}
+
+/// Refuses an output that is an input, or that exists inside a folder which is an input, also if one of them is a link to
+/// the other.
+///
+/// `inputs` are an option (or what else names the input) and the name of each: sources as typed, with what may follow
+/// `?`, and other files and folders. Names that are no files, such as rendered drives, are passed over.
+///
+/// # Errors
+/// When writing `out` would destroy an input.
+pub fn check_is_no_input<'a>(
+    option: &str,
+    out: &Path,
+    inputs: impl IntoIterator<Item = (&'a str, &'a str)>,
+) -> anyhow::Result<()> {
+    // A file that does not exist cannot be an input.
     let Ok(place) = out.canonicalize() else {
         return Ok(());
     };
@@ -101,30 +122,7 @@ pub fn check_output<'a>(
             }
         }
     }
-    if place.is_file() && !has_kind(&place, kind) {
-        bail!(
-            "{}: {option} exists and is not {}, and would be lost; wanted another name",
-            out.display(),
-            kind.name()
-        );
-    }
     Ok(())
-}
-
-/// Like [`check_output`], for a file beside which the earlier one is kept as `NAME.1`.
-///
-/// # Errors
-/// When writing `out` would destroy something.
-pub fn check_live_output(
-    option: &str,
-    out: &Path,
-    kind: Kind,
-    inputs: &[(&str, &str)],
-) -> anyhow::Result<()> {
-    let mut earlier = out.as_os_str().to_owned();
-    earlier.push(".1");
-    check_output(option, Path::new(&earlier), kind, inputs.iter().copied())?;
-    check_output(option, out, kind, inputs.iter().copied())
 }
 
 /// Whether a file may be replaced by one of this kind. A file that cannot be read is left to its writer. A file whose

@@ -2,10 +2,11 @@
 //! later.
 //!
 //! A thread writes the lines, so that the caller never waits for a disk. If the disk is full, whole lines are lost,
-//! counted and logged, and nothing else is affected. An earlier file of the same name is kept as `NAME.1`.
+//! counted and logged, and nothing else is affected. An earlier file of the same name is kept as `NAME.1`, and replaces the one
+//! before it; a file of another kind is never replaced.
 
 use std::fs::{self, File, OpenOptions};
-use std::io::{self, Seek, SeekFrom, Write};
+use std::io::{self, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{
     Receiver, RecvTimeoutError, SyncSender, TrySendError, channel, sync_channel,
@@ -22,6 +23,10 @@ const SYNC_EVERY: Duration = Duration::from_secs(1);
 const FINISH_WITHIN: Duration = Duration::from_secs(3);
 /// Shortest time between two log lines about the same error.
 const COMPLAINT: Duration = Duration::from_secs(1);
+/// Bytes at the beginning of a file by which its kind is known.
+const HEAD: u64 = 64;
+/// Largest number in the name of an earlier file.
+const EARLIER_MAX: u32 = 100;
 
 /// A file that is being written.
 pub struct LiveFile {
@@ -32,12 +37,13 @@ pub struct LiveFile {
 }
 
 impl LiveFile {
-    /// Begins a file at `path`; an earlier regular file is kept beside it.
+    /// Begins a file at `path`; an earlier regular file is kept beside it. `is_own` tells by the first bytes of a file
+    /// whether it is of the kind that is written.
     ///
     /// # Errors
     /// When nothing can be written there.
-    pub fn create(path: &Path) -> io::Result<Self> {
-        let (file, place) = open(path)?;
+    pub fn create(path: &Path, is_own: fn(&[u8]) -> bool) -> io::Result<Self> {
+        let (file, place) = open(path, is_own)?;
         let name = path.display().to_string();
         let (lines, to_write) = sync_channel(QUEUE_MAX);
         let (says_how, ended) = channel();
@@ -229,7 +235,7 @@ impl Writer {
     }
 }
 
-fn open(path: &Path) -> io::Result<(File, Option<PathBuf>)> {
+fn open(path: &Path, is_own: fn(&[u8]) -> bool) -> io::Result<(File, Option<PathBuf>)> {
     // A link to a file stays a link.
     let place = path.canonicalize().unwrap_or_else(|_| path.to_owned());
     match place.metadata() {
@@ -241,9 +247,7 @@ fn open(path: &Path) -> io::Result<(File, Option<PathBuf>)> {
             // A file that may not be written to may not be moved either.
             drop(OpenOptions::new().append(true).open(&place)?);
             if there.len() > 0 {
-                let mut earlier = place.clone().into_os_string();
-                earlier.push(".1");
-                fs::rename(&place, earlier)?;
+                fs::rename(&place, name_of_earlier(&place, is_own)?)?;
             }
         }
         Err(_) => {}
@@ -253,16 +257,64 @@ fn open(path: &Path) -> io::Result<(File, Option<PathBuf>)> {
     Ok((file, Some(place)))
 }
 
+/// The first of `NAME.1`, `NAME.2` and so on that is free, or that holds nothing or a file of the kind that is written.
+fn name_of_earlier(place: &Path, is_own: fn(&[u8]) -> bool) -> io::Result<PathBuf> {
+    for number in 1..=EARLIER_MAX {
+        let mut name = place.as_os_str().to_owned();
+        name.push(format!(".{number}"));
+        let name = PathBuf::from(name);
+        let free = match File::open(&name) {
+            Ok(file) => {
+                let mut head = Vec::new();
+                file.take(HEAD).read_to_end(&mut head)?;
+                head.iter().all(|&byte| byte == 0) || is_own(&head)
+            }
+            Err(error) => error.kind() == io::ErrorKind::NotFound,
+        };
+        if free {
+            return Ok(name);
+        }
+    }
+    Err(io::Error::new(
+        io::ErrorKind::AlreadyExists,
+        format!(
+            "its earlier file has no place: NAME.1 to NAME.{EARLIER_MAX} are files of another kind"
+        ),
+    ))
+}
+
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
 
+    fn is_own(head: &[u8]) -> bool {
+        !head.starts_with(b"notes")
+    }
+
+    #[test]
+    fn a_file_of_another_kind_is_kept_whatever_follows() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("j");
+        fs::write(&path, "notes").unwrap();
+        for text in ["one\n", "two\n", "three\n"] {
+            let mut file = LiveFile::create(&path, is_own).unwrap();
+            file.write_all(text.as_bytes()).unwrap();
+            file.finish().unwrap();
+        }
+        let read = |name: &str| fs::read_to_string(folder.path().join(name)).unwrap();
+        assert_eq!(
+            [read("j"), read("j.1"), read("j.2")],
+            ["three\n", "notes", "two\n"]
+        );
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 3);
+    }
+
     #[test]
     fn a_line_is_there_while_the_file_is_open() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("j.jsonl");
-        let mut file = LiveFile::create(&path).unwrap();
+        let mut file = LiveFile::create(&path, is_own).unwrap();
         assert_eq!(fs::read(&path).unwrap(), b"");
         for n in 0..3 {
             file.write_all(format!("line {n}\n").as_bytes()).unwrap();
@@ -282,7 +334,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("can.log");
         for text in ["one\n", "two\n", "", "three\n"] {
-            let mut file = LiveFile::create(&path).unwrap();
+            let mut file = LiveFile::create(&path, is_own).unwrap();
             file.write_all(text.as_bytes()).unwrap();
             file.finish().unwrap();
         }
@@ -294,17 +346,17 @@ mod tests {
 
     #[test]
     fn devices_are_written_through_and_what_cannot_be_written_is_refused() {
-        let mut null = LiveFile::create(Path::new("/dev/null")).unwrap();
+        let mut null = LiveFile::create(Path::new("/dev/null"), is_own).unwrap();
         null.write_all(b"line\n").unwrap();
         null.finish().unwrap();
         assert!(!Path::new("/dev/null").metadata().unwrap().is_file());
-        assert!(LiveFile::create(tempfile::tempdir().unwrap().path()).is_err());
-        assert!(LiveFile::create(Path::new("/no/such/folder/file")).is_err());
+        assert!(LiveFile::create(tempfile::tempdir().unwrap().path(), is_own).is_err());
+        assert!(LiveFile::create(Path::new("/no/such/folder/file"), is_own).is_err());
     }
 
     #[test]
     fn a_full_disk_costs_lines_and_is_told_at_the_end() {
-        let mut full = LiveFile::create(Path::new("/dev/full")).unwrap();
+        let mut full = LiveFile::create(Path::new("/dev/full"), is_own).unwrap();
         for _ in 0..5 {
             full.write_all(b"line\n").unwrap();
         }

@@ -39,7 +39,7 @@ mod reading;
 #[cfg_attr(not(feature = "lab"), path = "journal/no_recording.rs")]
 mod recording;
 
-pub use about::About;
+pub use about::{About, begins_like_one};
 pub use reading::{Entry, ReadError, Reading, read};
 pub use recording::RecordingJournal;
 pub use writing::{Journal, JournalError};

@@ -6,7 +6,6 @@ use gapwatch::files::whole_file::unnamed;
 use gapwatch::record::events::{Found, examine};
 
 use super::check::Check;
-use crate::cli::output::{Kind, check_live_output};
 
 /// The only folder that the service may write to, which is made when it starts, and the folder of its board files.
 const OF_SERVICE: &str = "/var/lib/gapwatch";
@@ -47,11 +46,6 @@ pub fn check(what: &'static str, place: Option<&Path>, board: &Path) -> Check {
     if what == "journal" && place.is_dir() {
         let found = format!("{} is a folder", place.display());
         return Check::fail(what, found, "name a file");
-    }
-    if what == "journal"
-        && let Err(refused) = check_live_output("--journal", place, Kind::Journal, &[])
-    {
-        return Check::fail(what, refused.to_string(), "name another file");
     }
     if what == "evidence" && place.exists() && !place.is_dir() {
         let found = format!("{} is not a folder", place.display());

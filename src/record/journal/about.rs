@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::capture::clock::ClockTime;
+use crate::files::whole_file::without_mark;
 use crate::monitor::warn::WarnOn;
 use crate::reference::{FalseAlarms, NominalDrives, Reference};
 use crate::statistics::event_rate::Hours;
@@ -90,4 +91,9 @@ fn known_of(alarms: &FalseAlarms) -> String {
         text += &drives("judged", judged_on);
     }
     text + "; " + &alarms.said()
+}
+
+/// Whether a file that begins like this is a journal, of any version.
+pub fn begins_like_one(head: &[u8]) -> bool {
+    without_mark(head).starts_with(b"{\"gapwatch_journal\"")
 }

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use serde::Serialize;
 
-use super::about::{About, FirstLine, VERSION};
+use super::about::{About, FirstLine, VERSION, begins_like_one};
 use super::line::Line;
 use crate::capture::clock::ClockTime;
 use crate::files::live_file::LiveFile;
@@ -56,7 +56,7 @@ impl Journal {
         began: &ClockTime,
         about: &About,
     ) -> Result<Self, JournalError> {
-        let lines = LiveFile::create(path).map_err(|error| failed(path, error))?;
+        let lines = LiveFile::create(path, begins_like_one).map_err(|error| failed(path, error))?;
         Self::begin(path, Box::new(lines), taps, began, about)
     }
 
