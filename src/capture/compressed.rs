@@ -120,6 +120,39 @@ mod tests {
     }
 
     #[test]
+    fn a_colour_profile_is_not_read() {
+        let (picture, _) = drawn();
+        let mut file = Vec::new();
+        let of_png = image::codecs::png::PngEncoder::new(&mut file);
+        let (width, height) = (picture.width, picture.height);
+        let colour = image::ExtendedColorType::Rgb8;
+        image::ImageEncoder::write_image(of_png, &picture.rgb, width, height, colour).unwrap();
+        assert_eq!(decoded(&file).unwrap(), picture);
+        let behind_header = 8 + 12 + 13;
+        let profile = [&1_000_u32.to_be_bytes()[..], b"iCCP", &[0x78; 1_004]].concat();
+        for profiles in [1, 100] {
+            let given = [
+                &file[..behind_header],
+                &profile.repeat(profiles),
+                &file[behind_header..],
+            ];
+            assert_eq!(decoded(&given.concat()).unwrap(), picture);
+        }
+    }
+
+    #[test]
+    fn scans_without_end_are_refused_before_they_are_decoded() {
+        let seed = "tests/fuzz/seeds/progressive.jpg";
+        let file = fs::read(Path::new(env!("CARGO_MANIFEST_DIR")).join(seed)).unwrap();
+        let mut pairs = file.windows(2);
+        let last = pairs.rposition(|pair| pair == [0xFF, 0xDA]).unwrap();
+        let again = &file[last..file.len() - 2];
+        let given = [&file[..last], &again.repeat(40), &file[file.len() - 2..]].concat();
+        let why = decoded(&given).unwrap_err();
+        assert!(why.contains("more than 32 scans"), "{why}");
+    }
+
+    #[test]
     fn sizes_that_are_too_large_are_refused_before_they_are_decoded() {
         let (_, mut file) = drawn();
         let frame = file

@@ -1,5 +1,6 @@
 //! PNG.
 
+use std::borrow::Cow;
 use std::io::Cursor;
 
 use image::codecs::png::PngDecoder;
@@ -20,8 +21,8 @@ const AROUND: usize = 12;
 /// # Errors
 /// What is wrong with it.
 pub fn decoded(bytes: &[u8]) -> Result<Picture, String> {
-    let orientation = orientation(bytes)?;
-    let decoder = PngDecoder::new(Cursor::new(bytes)).map_err(|error| error.to_string())?;
+    let (chunks, orientation) = chunks(bytes)?;
+    let decoder = PngDecoder::new(Cursor::new(&*chunks)).map_err(|error| error.to_string())?;
     let (width, height) = decoder.dimensions();
     if u64::from(width) * u64::from(height) > PIXELS_MAX {
         return Err(format!("{width}x{height} pixels, more than {PIXELS_MAX}"));
@@ -31,12 +32,14 @@ pub fn decoded(bytes: &[u8]) -> Result<Picture, String> {
     upright(width, height, rgb, orientation).ok_or_else(|| cut_off(bytes.len()))
 }
 
-/// How the picture must be turned.
+/// The file without colour profiles, which are not used and which the decoder would inflate to any size; and how the picture
+/// must be turned.
 ///
 /// # Errors
 /// When the chunk that ends the file is missing; the decoder would fill up what is cut off.
-fn orientation(bytes: &[u8]) -> Result<Orientation, String> {
+fn chunks(bytes: &[u8]) -> Result<(Cow<'_, [u8]>, Orientation), String> {
     let mut orientation = None;
+    let mut without: Option<Vec<u8>> = None;
     let mut at = SIGNATURE;
     loop {
         let chunk = bytes.get(at..).and_then(|rest| {
@@ -47,15 +50,22 @@ fn orientation(bytes: &[u8]) -> Result<Orientation, String> {
             let data = rest.get(..length.checked_add(4)?)?;
             Some((name, &data[..length]))
         });
-        match chunk.ok_or_else(|| cut_off(bytes.len()))? {
-            (b"IEND", _) => break,
-            (b"eXIf", exif) => {
-                let tiff = exif.strip_prefix(b"Exif\0\0").unwrap_or(exif);
-                orientation = orientation.or_else(|| Orientation::from_exif_chunk(tiff));
-                at += AROUND + exif.len();
-            }
-            (_, data) => at += AROUND + data.len(),
+        let (name, data) = chunk.ok_or_else(|| cut_off(bytes.len()))?;
+        let end = at + AROUND + data.len();
+        if name == b"eXIf" {
+            let tiff = data.strip_prefix(b"Exif\0\0").unwrap_or(data);
+            orientation = orientation.or_else(|| Orientation::from_exif_chunk(tiff));
         }
+        if name == b"iCCP" {
+            without.get_or_insert_with(|| bytes[..at].to_vec());
+        } else if let Some(without) = &mut without {
+            without.extend_from_slice(&bytes[at..end]);
+        }
+        if name == b"IEND" {
+            break;
+        }
+        at = end;
     }
-    Ok(orientation.unwrap_or(Orientation::NoTransforms))
+    let chunks = without.map_or(Cow::Borrowed(bytes), Cow::Owned);
+    Ok((chunks, orientation.unwrap_or(Orientation::NoTransforms)))
 }

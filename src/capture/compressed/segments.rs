@@ -3,7 +3,7 @@
 use image::metadata::Orientation;
 
 /// Largest number of scans. Progressive files have about ten; each further one costs time for the whole picture.
-const SCANS_MAX: u32 = 200;
+const SCANS_MAX: u32 = 32;
 
 /// Begins every JPEG file.
 const SOI: [u8; 2] = [0xFF, 0xD8];
