@@ -33,6 +33,8 @@ class Card:
     scene_sets: list[SceneSetNote]
     world: World
     init_sha256: str | None
+    kept_encoder: tuple[str, str] | None
+    head: str
     lane_share: float
     seed: int
     epochs: int
@@ -94,6 +96,22 @@ class Card:
             if self.init_sha256
             else "random weights"
         )
+        gains = (
+            ""
+            if self.kept_encoder
+            else f", and the factor on each tap that brings its\nmedian peak energy to {PEAK_ENERGY:g}"
+        )
+        if self.kept_encoder:
+            kept_file, kept_sha256 = self.kept_encoder
+            start = (
+                f"the encoder of `{kept_file}`, kept as it is, and a new lane head; its own command must "
+                f"make that\n  file first, and it has SHA-256\n  `{kept_sha256}`"
+            )
+        alike = ", varied like those for training," if self.varied > 0 else ""
+        light = "plain daylight, no fog, night, blur or noise"
+        if self.kept_encoder and self.varied > 0:
+            light = f"its encoder in {light}, and\nits lane head on scenes varied towards real roads"
+        head = {"plain": "", "deep": ", which looks at all blocks through four dilated bottlenecks"}[self.head]
         peak_rows = "\n".join(f"| {tap} | {peaks[tap]:.4g} |" for tap in TAPS)
         differences = ", ".join(
             f"`{name}` {value:.1e}" for name, value in self.agreement.relative.items()
@@ -101,7 +119,7 @@ class Card:
         return f"""# {self.name}
 
 Lane model whose encoder gapwatch watches the road through. It marks lane markings in an image and
-was trained on gapwatch's own rendered scenes alone: plain daylight, no fog, night, blur or noise.
+was trained on gapwatch's own rendered scenes alone: {light}.
 
 - File: `{self.name}.onnx`, {self.onnx_bytes / 1e6:.2f} MB, SHA-256
   `{self.onnx_sha256}`
@@ -131,7 +149,7 @@ The IoU is the intersection over the union of all pixels of all scenes at the fu
 | | parameters | multiply-adds |
 |---|---|---|
 | encoder (E1: {quarter} channels, E2 to E4: {eighth}) | {self.encoder_parameters:,} | {self.encoder_multiply_adds / 1e6:.1f} M |
-| lane head, dropped by the monitor | {self.head_parameters:,} | {(self.total_multiply_adds - self.encoder_multiply_adds) / 1e6:.1f} M |
+| lane head{head}, dropped by the monitor | {self.head_parameters:,} | {(self.total_multiply_adds - self.encoder_multiply_adds) / 1e6:.1f} M |
 
 Parameters are counted before folding, shared ones once.
 
@@ -145,9 +163,8 @@ Rendered by `gapwatch scene` at {self.size}; training scenes of the world `{self
 |---|---|---|---|
 {sets}
 
-Validation scenes gave the progress lines and the point where lane begins (the head's last
-bias was moved by {-self.lane_logit:+.2f} so that it lies at a logit of 0), and the factor on each tap that brings its
-median peak energy to {PEAK_ENERGY:g}; test scenes were used once, for the tables above.
+Validation scenes gave the progress lines and{alike} the point where lane begins (the head's last
+bias was moved by {-self.lane_logit:+.2f} so that it lies at a logit of 0){gains}; test scenes were used once, for the tables above.
 
 ## Training
 

@@ -1,8 +1,8 @@
-"""The lane networks: an ENet-SAD encoder, a lite and a small one, and the lane head on top.
+"""The lane networks: an ENet-SAD encoder, a lite and a small one, and a lane head on top.
 
 Shapes are `[N, C, H, W]`. The encoder hands back four blocks: `e1` at a quarter of the input in
 each direction, `e2`, `e3`, `e4` at an eighth; each is the block's output after its ReLU. gapwatch
-looks at `e2`, `e3`, `e4`; the lane head looks at `e1` and `e4` and gives one logit a pixel.
+looks at `e2`, `e3`, `e4`; the lane head looks at some of the four and gives one logit a pixel.
 
 Every convolution is followed by a batch norm (`ConvBn`), so that `fold_batch_norms` can absorb all
 of them before export. The activation is ReLU throughout: PReLU costs an interpreter three passes.
@@ -19,11 +19,15 @@ from torch import Tensor, nn
 from torch.nn.utils.fusion import fuse_conv_bn_eval
 
 MODELS = ("lite", "small", "enet-sad")
+HEADS = ("plain", "deep")
 TAPS = ("e2", "e3", "e4")
 
 # First gain of the batch norm that ends each residual branch. Below 1 it keeps the sum over a
 # chain of bottlenecks small, and training starts faster: chosen by trial.
 RESIDUAL_GAIN = 0.25
+# Cells, in each direction, over which `relative` takes its mean, and what keeps it from dividing by nothing.
+SURROUNDINGS = 9
+RELATIVE_FLOOR = 1e-4
 # Median peak energy that `set_tap_gains` gives every tap. The published attention is a softmax at a
 # temperature of 10; it keeps a usable number of pixels where 10 is about a fifth of the peak.
 PEAK_ENERGY = 50.0
@@ -267,9 +271,11 @@ class LaneHead(nn.Module):
         self.unfold = nn.PixelShuffle(4)
         nn.init.constant_(self.logits.bias, -3.0)  # about the share of marking pixels
 
-    def forward(self, e1: Tensor, e4: Tensor) -> Tensor:
-        far = F.interpolate(self.far(e4), scale_factor=2.0, mode="bilinear", align_corners=False)
-        return self.unfold(self.logits(self.mix(self.relu(self.near(e1) + far))))
+    def forward(self, blocks: Blocks) -> Tensor:
+        far = F.interpolate(
+            self.far(blocks.e4), scale_factor=2.0, mode="bilinear", align_corners=False
+        )
+        return self.unfold(self.logits(self.mix(self.relu(self.near(blocks.e1) + far))))
 
     def lower(self, logit: float) -> None:
         """Takes `logit` off every pixel's answer, which moves the point where lane begins."""
@@ -277,10 +283,41 @@ class LaneHead(nn.Module):
             self.logits.bias -= logit
 
 
+class DeepLaneHead(LaneHead):
+    """A lane head that looks at all four blocks, half as wide again, with four dilated bottlenecks before its last
+    convolutions.
+
+    It learns to find lanes in light and on roads that its encoder was not trained on: the encoder can
+    stay as it is, so that what gapwatch sees through it stays the same. What lies in shade excites the
+    encoder little; so the head looks at blocks relative to their surroundings (`relative`), and at `e1` as
+    it is too.
+    """
+
+    def __init__(self, quarter: int, eighth: int, width: int) -> None:
+        width += width // 2
+        super().__init__(quarter, eighth, width)
+        self.near = ConvBn(2 * quarter, width, 1, relu=False)
+        self.far = ConvBn(len(TAPS) * eighth, width, 1, relu=False)
+        self.body = nn.Sequential(*(Bottleneck(width, width // 2, d) for d in (1, 2, 4, 8)))
+
+    def forward(self, blocks: Blocks) -> Tensor:
+        near = self.near(torch.cat((blocks.e1, relative(blocks.e1)), dim=1))
+        far = self.far(torch.cat([relative(block) for block in blocks[1:]], dim=1))
+        far = F.interpolate(far, scale_factor=2.0, mode="bilinear", align_corners=False)
+        return self.unfold(self.logits(self.mix(self.body(self.relu(near + far)))))
+
+
+def relative(block: Tensor) -> Tensor:
+    """Activations over the root mean square of all channels in the surrounding `SURROUNDINGS` cells."""
+    square = block.square().mean(dim=1, keepdim=True)
+    mean = F.avg_pool2d(square, SURROUNDINGS, 1, SURROUNDINGS // 2, count_include_pad=False)
+    return block / (mean + RELATIVE_FLOOR).sqrt()
+
+
 class LaneNetwork(nn.Module):
     """Encoder and lane head. Input: normalised RGB `[N, 3, H, W]`, H and W multiples of 8."""
 
-    def __init__(self, model: str, share_weights: bool | None = None) -> None:
+    def __init__(self, model: str, share_weights: bool | None = None, head: str = "plain") -> None:
         """`share_weights=None` takes what the model is usually built with."""
         super().__init__()
         kinds = {"lite": LiteEncoder, "small": SmallEncoder, "enet-sad": EnetSadEncoder}
@@ -288,7 +325,10 @@ class LaneNetwork(nn.Module):
             raise ValueError(f"no model named {model!r}; there are {', '.join(MODELS)}")
         self.share_weights = (model == "enet-sad") if share_weights is None else share_weights
         self.encoder = kinds[model](self.share_weights)
-        self.head = LaneHead(*self.encoder.channels, self.encoder.head_width)
+        heads = {"plain": LaneHead, "deep": DeepLaneHead}
+        if head not in heads:
+            raise ValueError(f"no lane head named {head!r}; there are {', '.join(HEADS)}")
+        self.head = heads[head](*self.encoder.channels, self.encoder.head_width)
         # Factors on the activations of e2, e3, e4 as they leave the network, not as it uses them.
         self.register_buffer("tap_gains", torch.ones(len(TAPS)))
 
@@ -296,7 +336,7 @@ class LaneNetwork(nn.Module):
         """Lane logits `[N, 1, H, W]` and the encoder's blocks, those of the taps times their gains."""
         blocks = self.encoder(image)
         taps = (block * gain for block, gain in zip(blocks[1:], self.tap_gains, strict=True))
-        return self.head(blocks.e1, blocks.e4), Blocks(blocks.e1, *taps)
+        return self.head(blocks), Blocks(blocks.e1, *taps)
 
     def set_tap_gains(self, median_peaks: dict[str, float]) -> None:
         """Scales every tap so that a median peak energy as measured becomes `PEAK_ENERGY`."""
@@ -314,6 +354,15 @@ class ExportedNetwork(nn.Module):
     def forward(self, image: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         lane, blocks = self.network(image)
         return lane, blocks.e2, blocks.e3, blocks.e4
+
+
+def freeze_encoder(network: LaneNetwork) -> None:
+    """Takes the encoder out of training, its batch norms in its convolutions, as an exported file has it."""
+    network.eval()
+    for module in network.encoder.modules():
+        if isinstance(module, ConvBn):
+            module.fold()
+    network.encoder.requires_grad_(False)
 
 
 def share_convolutions(blocks: list[nn.Sequential]) -> None:

@@ -68,6 +68,20 @@ class SceneSet:
         """The first `count` scenes, or all where there are fewer."""
         return SceneSet(self.seed, self.frames[:count], self.masks[:count])
 
+    def varied(self, variation: Variation, seed: int) -> SceneSet:
+        """These scenes, varied; themselves where nothing is varied."""
+        if variation.share == 0:
+            return self
+        dice = np.random.default_rng(seed)
+        frames, masks = self.frames.copy(), self.masks.copy()
+        for index in range(len(self)):
+            image = torch.from_numpy(frames[index : index + 1]).permute(0, 3, 1, 2).float() / 255.0
+            lane = torch.from_numpy(masks[index : index + 1]).unsqueeze(1).float()
+            image, lane = variation.apply(image, lane, dice)
+            frames[index] = (image[0] * 255.0).round().byte().permute(1, 2, 0).numpy()
+            masks[index] = lane[0, 0].byte().numpy()
+        return SceneSet(self.seed, frames, masks)
+
     def lane_share(self) -> float:
         """Share of pixels that lie on a marking, 0 to 1."""
         return float(self.masks.mean(dtype=np.float64))
@@ -240,6 +254,15 @@ def training_batches(
             image = varied * 255.0
         image.mul_(scale.to(device)[:, :, None, None]).add_(offset.to(device)[:, :, None, None])
         yield Batch(image, lane)
+
+
+def ahead(batches: Iterator[Batch]) -> Iterator[Batch]:
+    """The same batches; the next one is made while one is trained on."""
+    with ThreadPoolExecutor(1) as pool:
+        following = pool.submit(next, batches, None)
+        while (batch := following.result()) is not None:
+            following = pool.submit(next, batches, None)
+            yield batch
 
 
 def _note(folder: Path) -> object:

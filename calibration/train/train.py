@@ -23,19 +23,30 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import onnx
 import torch
+from google.protobuf.message import DecodeError
 
 from card import Card, SceneSetNote, processor_name, write_settings
 from evaluation import best_lane_logit, measure, prediction_of
 from export import ExportError, compare, export, prediction_of_file
 from losses import distillation_loss, lane_loss
-from network import MODELS, TAPS, LaneNetwork, count_multiply_adds, count_parameters
+from network import (
+    HEADS,
+    MODELS,
+    TAPS,
+    LaneNetwork,
+    count_multiply_adds,
+    count_parameters,
+    freeze_encoder,
+)
 from scenes import (
     Normalisation,
     SceneError,
     SceneSet,
     Size,
     World,
+    ahead,
     load,
     refuse_shared_frames,
     render,
@@ -93,6 +104,10 @@ def parse_arguments() -> argparse.Namespace:
     parser.add_argument("--init", type=Path, metavar="FILE.pt",
                         help="weights to start from: NAME.pt that an earlier run of the same model "
                         "left in --work, of any size")
+    parser.add_argument("--encoder", type=Path, metavar="FILE.onnx",
+                        help="exported file of the same model whose encoder and normalisation are kept "
+                        "as they are; a lane head alone is trained over it")
+    parser.add_argument("--head", choices=HEADS, default="plain", help="which lane head")
     parser.add_argument("--scenes", type=count_argument, default=6000, help="training scenes")
     parser.add_argument("--validation", type=count_argument, default=200, help="scenes an epoch")
     parser.add_argument("--test", type=count_argument, default=1000, help="scenes for the IoU")
@@ -159,6 +174,7 @@ def run(args: argparse.Namespace) -> None:
     check_settings(args)
     torch.set_num_threads(args.threads)
     torch.manual_seed(args.seed)
+    encoder_sha256 = sha256_of(args.encoder) if args.encoder else ""
     device = torch.device(
         "cuda" if args.device == "cuda" or (args.device == "auto" and torch.cuda.is_available())
         else "cpu"
@@ -177,27 +193,34 @@ def run(args: argparse.Namespace) -> None:
         notes.append(SceneSetNote(use, seed, count, sha256_of(folder / "scenes.jsonl")))
     training, validation, test = sets
     refuse_shared_frames(training, validation, test)
-    normalisation = Normalisation.of(training)
+    normalisation = (normalisation_beside(args.encoder) if args.encoder
+                     else Normalisation.of(training))
     print(f"scenes  {len(training)} to train on, {training.lane_share() * 100:.2f} % marking; "
           f"mean {normalisation.mean}, std {normalisation.std}", flush=True)
 
-    network = LaneNetwork(args.model, args.share_weights)
+    network = LaneNetwork(args.model, args.share_weights, args.head)
+    encoder_parameters = count_parameters(network.encoder)
     if args.init:
         start_from(args.init, network, args.model)
+    if args.encoder:
+        keep_encoder_of(args.encoder, network, args.model)
     network.to(device=device, memory_format=torch.channels_last)
     multiply_adds = count_multiply_adds(network.encoder, args.size.width, args.size.height)
     machine = (f"{processor_name()}, {args.threads} threads" if device.type == "cpu"
                else torch.cuda.get_device_name(device))
     machine += f", {'bf16' if half else 'fp32'} training steps, PyTorch {torch.__version__}"
-    print(f"network {args.name}: encoder {count_parameters(network.encoder):,} parameters, "
+    print(f"network {args.name}: encoder {encoder_parameters:,} parameters, "
           f"{multiply_adds / 1e6:.1f} M multiply-adds; {machine}", flush=True)
 
     trained = train(network, training, validation, normalisation, args, device, half)
     predict = prediction_of(network)
-    lane_logit = best_lane_logit(predict, validation, normalisation, EVALUATION_BATCH)
+    # The point where lane begins is that of scenes like those that were trained on.
+    alike = validation.varied(Variation(args.varied, tuple(args.variation)), args.seed)
+    lane_logit = best_lane_logit(predict, alike, normalisation, EVALUATION_BATCH)
     network.head.lower(lane_logit)
-    seen = measure(predict, validation, normalisation, EVALUATION_BATCH)
-    network.set_tap_gains(seen.median_peaks())
+    if not args.encoder:
+        seen = measure(predict, validation, normalisation, EVALUATION_BATCH)
+        network.set_tap_gains(seen.median_peaks())
     torch.save({"model": args.model, "weights": network.state_dict()},
                args.work / f"{args.name}.pt")
 
@@ -226,6 +249,8 @@ def run(args: argparse.Namespace) -> None:
         scene_sets=notes,
         world=world,
         init_sha256=sha256_of(args.init) if args.init else None,
+        kept_encoder=(args.encoder.name, encoder_sha256) if args.encoder else None,
+        head=args.head,
         lane_share=training.lane_share(),
         seed=args.seed,
         epochs=trained.epochs,
@@ -235,13 +260,13 @@ def run(args: argparse.Namespace) -> None:
         jitter=args.jitter,
         varied=args.varied,
         variation=tuple(args.variation),
-        sad_weight=args.sad_weight if args.sad else 0.0,
+        sad_weight=args.sad_weight if args.sad and not args.encoder else 0.0,
         share_weights=network.share_weights,
         lane_logit=lane_logit,
         train_seconds=trained.seconds,
         machine=machine,
         measurement=measurement,
-        encoder_parameters=count_parameters(network.encoder),
+        encoder_parameters=encoder_parameters,
         head_parameters=count_parameters(network.head),
         encoder_multiply_adds=multiply_adds,
         total_multiply_adds=count_multiply_adds(network, args.size.width, args.size.height),
@@ -279,6 +304,37 @@ def start_from(file: Path, network: LaneNetwork, model: str) -> None:
     network.tap_gains.fill_(1.0)
 
 
+def keep_encoder_of(file: Path, network: LaneNetwork, model: str) -> None:
+    """Takes the encoder of an exported file, with the factors on its taps, and freezes it.
+
+    Raises `SettingsError` when `file` is not an exported file of the same model.
+    """
+    freeze_encoder(network)
+    try:
+        tensors = {
+            tensor.name: torch.from_numpy(onnx.numpy_helper.to_array(tensor).copy())
+            for tensor in onnx.load(str(file)).graph.initializer
+        }
+        weights = {
+            name: tensors[f"encoder.{name}"] for name in network.encoder.state_dict()
+        }
+        network.encoder.load_state_dict(weights)
+        gains = [tensors[name] for name in ("Squeeze", "Squeeze_1", "Squeeze_2")]
+        network.tap_gains.copy_(torch.stack([gain.reshape(()) for gain in gains]))
+    except (KeyError, RuntimeError, ValueError, OSError, DecodeError) as error:
+        raise SettingsError(f"--encoder {file}: not an exported {model} model of train.py") from error
+
+
+def normalisation_beside(file: Path) -> Normalisation:
+    """The normalisation in the TOML file beside an exported file; `SettingsError` when it has none."""
+    settings_file = file.with_suffix(".toml")
+    try:
+        settings = tomllib.loads(settings_file.read_text(encoding="utf-8"))
+        return Normalisation(tuple(settings["mean"]), tuple(settings["std"]))
+    except (OSError, KeyError, tomllib.TOMLDecodeError) as error:
+        raise SettingsError(f"--encoder: no normalisation in {settings_file}") from error
+
+
 def check_settings(args: argparse.Namespace) -> None:
     """Finds what is missing before any time is spent, and says what would mend it."""
     if not args.gapwatch.is_file() or not os.access(args.gapwatch, os.X_OK):
@@ -289,6 +345,10 @@ def check_settings(args: argparse.Namespace) -> None:
     args.gapwatch = args.gapwatch.resolve()
     if args.init and not args.init.is_file():
         raise SettingsError(f"--init {args.init}: no such file; its own training comes first")
+    if args.encoder and args.init:
+        raise SettingsError("--encoder keeps an encoder and --init trains one further: name one of them")
+    if args.encoder and not args.encoder.is_file():
+        raise SettingsError(f"--encoder {args.encoder}: no such file; its own training comes first")
     if args.minutes is not None and not args.minutes > 0:
         raise SettingsError("--minutes must be above 0")
     if not 0 <= args.varied <= 1:
@@ -340,7 +400,8 @@ def train(
 ) -> Trained:
     """Trains in place, for `args.epochs` or `args.minutes`; one line an epoch."""
     dice = np.random.default_rng(args.seed)
-    optimiser = torch.optim.AdamW(network.parameters(), weight_decay=WEIGHT_DECAY, fused=True)
+    learned = [weight for weight in network.parameters() if weight.requires_grad]
+    optimiser = torch.optim.AdamW(learned, weight_decay=WEIGHT_DECAY, fused=True)
     total_steps = args.epochs * max(len(training) // args.batch, 1)
     began = time.monotonic()
 
@@ -355,10 +416,11 @@ def train(
         epoch_began = time.monotonic()
         lane_losses, sad_losses = [], []
         network.train()
-        for batch in training_batches(
+        batches = training_batches(
             training, normalisation, args.batch, args.jitter,
             Variation(args.varied, tuple(args.variation)), dice, device
-        ):
+        )
+        for batch in ahead(batches):
             done = progress()
             if done >= 1:
                 break
@@ -368,7 +430,7 @@ def train(
                 logits, blocks = network(batch.image)
             loss = lane_loss(logits, batch.lane)
             lane_losses.append(loss.item())
-            if args.sad and done >= 0.5:
+            if args.sad and not args.encoder and done >= 0.5:
                 sad = distillation_loss(blocks)
                 sad_losses.append(sad.item())
                 loss = loss + args.sad_weight * sad
@@ -397,6 +459,8 @@ def command_of(args: argparse.Namespace) -> str:
     words += ["--look", args.look] if args.look != "sim" else []
     words += [word for element in args.without for word in ("--without", element)]
     words += ["--init", str(args.init.name)] if args.init else []
+    words += ["--encoder", str(args.encoder.name)] if args.encoder else []
+    words += ["--head", args.head] if args.head != "plain" else []
     words += ["--size", str(args.size), "--scenes", str(args.scenes)]
     words += ["--validation", str(args.validation), "--test", str(args.test)]
     words += (["--epochs", str(args.epochs)] if args.minutes is None

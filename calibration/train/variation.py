@@ -1,7 +1,7 @@
 """Variations of rendered scenes, so that a lane model trained on them meets real roads better.
 
 Each variation is something that real roads, lights and cameras have and the rendered world has not: other cameras and
-curves, hard shade, what stands beside roads, other light, exposure and colour, and a lens and sensor that are not
+curves, hard shade, what stands beside roads, walls along them, other light, exposure and colour, and a lens and sensor that are not
 perfect. All are made of random numbers alone: no real picture is used.
 """
 
@@ -25,7 +25,7 @@ GAMMA = 2.2
 
 
 # What can be varied, and how many of the varied scenes it changes.
-KINDS = {"camera": 0.8, "clutter": 0.6, "shade": 0.6, "light": 0.8, "lens": 0.35}
+KINDS = {"camera": 0.8, "clutter": 0.6, "barrier": 0.4, "shade": 0.6, "light": 0.8, "lens": 0.35}
 
 
 @dataclass(frozen=True)
@@ -44,6 +44,8 @@ class Variation:
                 image, lane = another_camera(image, lane, dice)
             if self._happens("clutter", dice):
                 image = clutter(image, lane, dice)
+            if self._happens("barrier", dice):
+                image = barrier(image, lane, dice)
             if self._happens("shade", dice):
                 image = shade(image, dice)
             if self._happens("light", dice):
@@ -78,8 +80,9 @@ def another_camera(image: Tensor, lane: Tensor, dice: np.random.Generator) -> tu
     source_x = width / 2 + turned_x / scale_x
     source_y = height * HORIZON + turned_y / scale_y
     grid = torch.stack((2 * source_x / width - 1, 2 * source_y / height - 1), dim=-1)[None]
-    seen = F.grid_sample(image[None], grid, "bilinear", "reflection", align_corners=False)
-    labels = F.grid_sample(lane[None], grid, "nearest", "reflection", align_corners=False)
+    # What the rendered picture does not show is filled from its edge, and nothing there is a lane.
+    seen = F.grid_sample(image[None], grid, "bilinear", "border", align_corners=False)
+    labels = F.grid_sample(lane[None], grid, "nearest", "zeros", align_corners=False)
     return seen[0], labels[0]
 
 
@@ -109,12 +112,45 @@ def clutter(image: Tensor, lane: Tensor, dice: np.random.Generator) -> Tensor:
     return image
 
 
+def barrier(image: Tensor, lane: Tensor, dice: np.random.Generator) -> Tensor:
+    """With a wall or a kerb along one side of the road, whose foot is a line towards the vanishing point that is no lane."""
+    height, width = image.shape[-2:]
+    there = torch.nonzero(lane[0])
+    if len(there) == 0:
+        return image
+    top = there[:, 0].min()
+    middle_x = there[there[:, 0] <= top + 1, 1].float().mean() + 0.5
+    middle_y = float(top) - dice.uniform(0, 4)
+    side = 1.0 if dice.random() < 0.5 else -1.0
+    rows = torch.arange(height, device=image.device, dtype=torch.float32)[:, None] + 0.5
+    columns = torch.arange(width, device=image.device, dtype=torch.float32)[None, :] + 0.5
+    out = (columns - middle_x) * side
+    angle = torch.atan2(rows - middle_y, out)
+    # The outermost line on that side bounds the foot; near the vanishing point all lines are close together.
+    lines = angle[(lane[0] > 0) & (rows > middle_y + height / 8) & (out > 0)]
+    limit = float(lines.min()) if len(lines) else 0.6
+    foot = limit * dice.uniform(0.3, 0.95)
+    head = foot * dice.uniform(-0.6, 0.85)
+    free = F.max_pool2d(lane[None], 5, 1, 2)[0] == 0
+    where = ((angle < foot) & (angle > head) & (out > 0))[None] & free
+    colour = torch.tensor(dice.random(3) * 0.2 + dice.uniform(0.0, 0.75), dtype=torch.float32, device=image.device)
+    field = random_field(height, width, dice.uniform(2, 12), dice).to(image.device)
+    face = colour[:, None, None] * (1 + dice.uniform(0, 0.6) * (field - 0.5))
+    return torch.where(where, face, image)
+
+
 def shade(image: Tensor, dice: np.random.Generator) -> Tensor:
-    """Under shadows of any size, soft or hard, that take 30 to 92 % of the light, and are bluer than it."""
+    """Under shadows of any size, soft or hard, that take 30 to 92 % of the light, and are bluer than it. Every third time,
+    almost the whole road is in one shadow, as in a forest, which takes 75 to 98.5 %."""
     height, width = image.shape[-2:]
     field = random_field(height, width, dice.uniform(1.5, 10), dice).to(image.device)
+    taken = dice.uniform(0.3, 0.92)
+    if dice.random() < 1 / 3:
+        rows = torch.arange(height, device=image.device)[None, :, None] / height
+        field = field * 0.6 + (rows - HORIZON + dice.uniform(-0.05, 0.3)) * dice.uniform(2, 8)
+        taken = 1 - math.exp(dice.uniform(math.log(0.015), math.log(0.25)))
     dark = ((field - dice.uniform(0.3, 0.65)) * dice.uniform(3, 30)).clamp(0, 1)
-    kept = (1 - dice.uniform(0.3, 0.92) * dark).repeat(3, 1, 1)
+    kept = (1 - taken * dark).repeat(3, 1, 1)
     kept[2] = kept[2] * (1 + 0.25 * dice.random() * dark[0])
     return (image.clamp(min=0).pow(GAMMA) * kept).clamp(min=0).pow(1 / GAMMA)
 

@@ -266,7 +266,14 @@ fn the_shipped_models_run_in_our_executor_and_answer_as_in_tract() {
     for spec in models {
         let [own, tract] = [Executor::Fastest, Executor::Tract]
             .map(|executor| Encoder::load_for(&spec, spec.lane.as_ref(), executor).unwrap());
-        assert!(own.executor().starts_with("own"), "{}", spec.name);
+        // This lane head divides by means of surroundings, which our executor does not compute.
+        let all_are_ours = !spec.name.ends_with("-road.onnx");
+        assert_eq!(
+            own.executor().starts_with("own"),
+            all_are_ours,
+            "{}",
+            spec.name
+        );
         assert_eq!(tract.executor(), "tract");
         let mut dice = Dice(5);
         let picture = dice.values(own.input_shape.iter().product());
@@ -277,8 +284,16 @@ fn the_shipped_models_run_in_our_executor_and_answer_as_in_tract() {
             assert!(apart <= DIFFERENCE_MAX / 10.0, "{}: {apart:e}", spec.name);
         }
         // The taps do not depend on what else is computed.
-        let taps_alone = answers(&Encoder::load(&spec).unwrap(), &picture);
-        assert_eq!(taps_alone, ours[..3], "{}", spec.name);
+        let alone = Encoder::load(&spec).unwrap();
+        assert!(alone.executor().starts_with("own"), "{}", spec.name);
+        let taps_alone = answers(&alone, &picture);
+        if all_are_ours {
+            assert_eq!(taps_alone, ours[..3], "{}", spec.name);
+        }
+        for (alone, theirs) in taps_alone.iter().zip(&theirs) {
+            let apart = difference(alone, theirs);
+            assert!(apart <= DIFFERENCE_MAX / 10.0, "{}: {apart:e}", spec.name);
+        }
     }
 }
 
