@@ -71,11 +71,14 @@ pub fn camera_facts(name: &str) -> Result<Option<CameraFacts>, SourceError> {
 
 #[cfg(not(feature = "camera"))]
 fn no_camera(name: &str) -> SourceError {
+    let missing = "this build has no camera source (build with --features camera)";
+    wrong_name(name, &format!("{missing}; {SOURCES_WANTED}"))
+}
+
+fn wrong_name(found: &str, wanted: &str) -> SourceError {
     SourceError::Name {
-        found: name.to_owned(),
-        wanted: format!(
-            "this build has no camera source (build with --features camera); {SOURCES_WANTED}"
-        ),
+        found: found.to_owned(),
+        wanted: wanted.to_owned(),
     }
 }
 
@@ -86,12 +89,8 @@ fn no_camera(name: &str) -> SourceError {
 pub fn open(name: &str) -> Result<Box<dyn FrameSource>, SourceError> {
     if let Some(spec) = name.strip_prefix("scene:") {
         let Some(open) = SCENES.get() else {
-            return Err(SourceError::Name {
-                found: name.to_owned(),
-                wanted: format!(
-                    "this build has no rendered drives (build with --features lab); {SOURCES_WANTED}"
-                ),
-            });
+            let missing = "this build has no rendered drives (build with --features lab)";
+            return Err(wrong_name(name, &format!("{missing}; {SOURCES_WANTED}")));
         };
         return open(spec);
     }
@@ -104,10 +103,8 @@ pub fn open(name: &str) -> Result<Box<dyn FrameSource>, SourceError> {
         return Ok(source);
     }
     let Some(lay_over) = OVERLAY.get() else {
-        return Err(SourceError::Name {
-            found: name.to_owned(),
-            wanted: "this build renders no conditions (build with --features lab)".to_owned(),
-        });
+        let missing = "this build renders no conditions (build with --features lab)";
+        return Err(wrong_name(name, missing));
     };
     lay_over(source, &file.overlay)
 }
@@ -122,12 +119,7 @@ fn open_file(name: &str, file: &FileName<'_>) -> Result<Box<dyn FrameSource>, So
     let &FileName {
         path, fps, topic, ..
     } = file;
-    let wrong = |wanted: &str| {
-        Err(SourceError::Name {
-            found: name.to_owned(),
-            wanted: wanted.to_owned(),
-        })
-    };
+    let wrong = |wanted: &str| Err(wrong_name(name, wanted));
     if path.is_dir() {
         return open_folder(name, file);
     }
@@ -145,9 +137,7 @@ fn open_file(name: &str, file: &FileName<'_>) -> Result<Box<dyn FrameSource>, So
     #[cfg(feature = "lab")]
     if path.is_file() && recording::is_recording(path) {
         if fps.is_some() {
-            return wrong(
-                "?fps= is for folders of images and raw video streams; a recording has its own times",
-            );
+            return wrong(OF_RECORDING);
         }
         return Ok(Box::new(recording::RecordingSource::open(path, topic)?));
     }
@@ -170,12 +160,7 @@ fn open_folder(name: &str, file: &FileName<'_>) -> Result<Box<dyn FrameSource>, 
     let &FileName {
         path, fps, topic, ..
     } = file;
-    let wrong = |wanted: &str| {
-        Err(SourceError::Name {
-            found: name.to_owned(),
-            wanted: wanted.to_owned(),
-        })
-    };
+    let wrong = |wanted: &str| Err(wrong_name(name, wanted));
     let images = images::ImageSource::folder(path, fps.unwrap_or(images::FOLDER_FPS));
     #[cfg(feature = "lab")]
     if topic.is_some() || matches!(images, Err(SourceError::Empty { .. })) {

@@ -356,26 +356,15 @@ impl Known {
         Ok((*value).clone())
     }
 
-    fn whole(&self, name: &str) -> Result<Vec<i64>, String> {
+    /// The values of a constant, as numbers of this type.
+    fn numbers<T: Datum + Copy>(&self, name: &str) -> Result<Vec<T>, String> {
         let tensor = self.tensor(name)?;
-        let tensor = tensor.cast_to::<i64>().map_err(|error| error.to_string())?;
+        let tensor = tensor.cast_to::<T>().map_err(|error| error.to_string())?;
         let plain = tensor
             .try_as_plain_ram()
             .map_err(|error| error.to_string())?;
         Ok(plain
-            .as_slice::<i64>()
-            .map_err(|error| error.to_string())?
-            .to_vec())
-    }
-
-    fn floats(&self, name: &str) -> Result<Vec<f32>, String> {
-        let tensor = self.tensor(name)?;
-        let tensor = tensor.cast_to::<f32>().map_err(|error| error.to_string())?;
-        let plain = tensor
-            .try_as_plain_ram()
-            .map_err(|error| error.to_string())?;
-        Ok(plain
-            .as_slice::<f32>()
+            .as_slice::<T>()
             .map_err(|error| error.to_string())?
             .to_vec())
     }
@@ -468,13 +457,13 @@ fn to_shape(mut node: NodeProto, known: &Known) -> Nodes {
 
 /// Padding by less than nothing cuts off.
 fn cut(mut node: NodeProto, graph: &mut GraphProto, known: &Known) -> Nodes {
-    let pads = known.whole(&node.input[1])?;
+    let pads: Vec<i64> = known.numbers(&node.input[1])?;
     if pads.iter().all(|&pad| pad >= 0) {
         return Ok(vec![node]);
     }
     let shape = known.shape(&node.input[0])?;
     let axes = match given(&node, 3) {
-        true => known.whole(&node.input[3])?,
+        true => known.numbers::<i64>(&node.input[3])?,
         false => (0..).take(shape.len()).collect(),
     };
     let sides: Option<Vec<i64>> = axes.iter().map(|&axis| at_axis(&shape, axis)).collect();
@@ -531,7 +520,7 @@ fn nearest(node: &NodeProto, graph: &mut GraphProto, known: &Known) -> Nodes {
     let (input, output) = (&node.input[0], &node.output[0]);
     let (from, to) = (known.shape(input)?, known.shape(output)?);
     let scales = match given(node, 2) {
-        true => Some(known.floats(&node.input[2])?).filter(|scales| !scales.is_empty()),
+        true => Some(known.numbers::<f32>(&node.input[2])?).filter(|scales| !scales.is_empty()),
         false => None,
     };
     let axes = match of.ints("axes") {
