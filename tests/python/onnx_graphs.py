@@ -10,7 +10,7 @@ implementation is used. A graph that must be refused has what must be said.
 
 import json
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -678,6 +678,14 @@ def quantised() -> None:
 
     case("ConvInteger", dynamic, 13)
 
+    def multiplied(g: Graph) -> str:
+        value, scale, zero = g.op("DynamicQuantizeLinear", ["x"], 3)
+        weights = g.const(np.round(g.random.normal(0, 40, (g.width, 24))).clip(-127, 127), np.int8)
+        sums = g.op("MatMulInteger", [value, weights, zero, g.const(0, np.int8)])
+        return g.op("Mul", [g.op("Cast", [sums], to=TensorProto.FLOAT), g.op("Mul", [scale, g.const(F32(0.01))])])
+
+    case("MatMulInteger", multiplied, 13)
+
 
 def habits() -> None:
     """Habits of exporters."""
@@ -940,6 +948,16 @@ def truth(model: onnx.ModelProto, picture: np.ndarray) -> np.ndarray:
         return np.asarray(ReferenceEvaluator(model).run(["y"], {"x": picture})[0])
 
 
+def operators(nodes: Iterable[onnx.NodeProto]) -> set[str]:
+    """Names of the operators of nodes, and of those inside them."""
+    names: set[str] = set()
+    for node in nodes:
+        names.add(node.op_type)
+        for attribute in node.attribute:
+            names |= operators(attribute.g.node)
+    return names
+
+
 def main(out: Path) -> None:
     for family in FAMILIES:
         family()
@@ -958,7 +976,8 @@ def main(out: Path) -> None:
             onnx.save(model, out / f"{stem}.onnx")
             refused = [said for start, said in REFUSED.items() if name.startswith(start)]
             is_half = any(t.data_type == TensorProto.FLOAT16 for t in model.graph.initializer)
-            row: dict[str, Any] = {"refused": refused, "is_half": is_half} | {"name": f"{name} {size[1]}x{size[0]}", "file": f"{stem}.onnx", "truth": f"{stem}.f32", "size": size, "bytes": is_bytes}
+            inside = operators(model.graph.node).union(*(operators(f.node) for f in model.functions))
+            row: dict[str, Any] = {"refused": refused, "is_half": is_half, "operators": sorted(inside)} | {"name": f"{name} {size[1]}x{size[0]}", "file": f"{stem}.onnx", "truth": f"{stem}.f32", "size": size, "bytes": is_bytes}
             try:
                 value = truth(model, picture)
                 row |= {"shape": value.shape, "finite": bool(np.isfinite(value).all())}
