@@ -117,7 +117,7 @@ pub fn run(args: &EvaluateArgs, out: &mut dyn Write) -> anyhow::Result<u8> {
         None
     };
     let failing = if wanted(EvaluateKey::LaneFailure) {
-        Some(lane_failure::Judged::open(&args.model)?)
+        Some(lane_failure::Judged::open(args)?)
     } else {
         None
     };

@@ -1,12 +1,11 @@
 //! Prediction of failures of the lane model: rows and tables.
 
-use std::path::PathBuf;
-
 use anyhow::bail;
 use gapwatch::lab::evaluation::lane_failure::{self, LaneFailure, RATES_PER_HOUR, Sizes};
 use gapwatch::model::encoder::Encoder;
 use gapwatch::model::{ModelOptions, ModelSpec};
 use gapwatch::reference::gap::Metric;
+use gapwatch::reference::{ModelFingerprint, Reference};
 
 use super::super::progress;
 use super::results::Row;
@@ -22,19 +21,21 @@ pub const ABOUT: &str = "A failure is a second in which the lane model's F1 with
     drive is benign if its F1 is at most 0.1 below that on a plain day. Every method has its own reference and thresholds from the same \
     nominal drives. False alarms are counted on other nominal drives; with several forecasts, those of the forecast \
     with the most are given. `lane-risk` is fitted on drives under the same kinds of condition, and `lane-risk, fitted \
-    on other kinds` never on the kind that is judged.";
+    on other kinds` never on the kind that is judged. `lanes of the reference` is the \
+    forecast of the reference as it is, which warns from a half on and has no thresholds of rates.";
 
 /// The model that is judged.
 pub struct Judged {
     spec: ModelSpec,
     encoder: Encoder,
     default: bool,
+    reference: Option<Reference>,
 }
 
 impl Judged {
     /// Opens the one model, which must have a lane head.
-    pub fn open(models: &[PathBuf]) -> anyhow::Result<Self> {
-        let file = match models {
+    pub fn open(args: &EvaluateArgs) -> anyhow::Result<Self> {
+        let file = match args.model.as_slice() {
             [] => None,
             [one] => Some(one.as_path()),
             _ => bail!("lane_failure judges one model at a time; wanted one --model"),
@@ -46,8 +47,12 @@ impl Judged {
                 spec.name
             );
         }
+        let encoder = Encoder::load_with_lane(&spec)?;
+        let reference = Reference::read(args.reference.as_deref())?;
+        let fits = reference.check_fits("the reference", &ModelFingerprint::new(&spec, &encoder));
         Ok(Self {
-            encoder: Encoder::load_with_lane(&spec)?,
+            reference: fits.is_ok().then_some(reference),
+            encoder,
             spec,
             default: file.is_none(),
         })
@@ -63,9 +68,14 @@ pub fn rows(judged: &Judged, args: &EvaluateArgs) -> anyhow::Result<Vec<Row<Lane
     let sizes = sizes(args.quick);
     let bar = progress::over(Some(sizes.drives()), "lane failure", "drives");
     let Judged { spec, encoder, .. } = judged;
-    let rows = lane_failure::rows(&spec.taps, encoder, &spec.preprocessing, sizes, &|| {
-        bar.inc(1)
-    })?;
+    let rows = lane_failure::rows(
+        &spec.taps,
+        encoder,
+        &spec.preprocessing,
+        judged.reference.as_ref(),
+        sizes,
+        &|| bar.inc(1),
+    )?;
     bar.finish_and_clear();
     let default = Metric::DEFAULT.to_string();
     Ok(rows

@@ -2,12 +2,12 @@
 //! every metric and with simpler baselines at the same rates of false alarms.
 //!
 //! A second is a failure if the lane model's F1 within the tolerance is below a half in it, but not in the same second on
-//! a plain day. A drive has at most
-//! one event, because the condition grows once. All thresholds come from nominal drives that are not judged, and the
+//! a plain day. A drive has at most one event, because the condition grows once. All thresholds come from nominal drives that are not judged, and the
 //! forecast `lane-risk` is also judged under kinds of condition to which it was not fitted.
 
 mod method;
 mod row;
+mod shipped;
 mod sizes;
 
 use rayon::prelude::*;
@@ -26,9 +26,8 @@ use crate::lab::scene::{Condition, ConditionKind, DriveSpec, RAMP_S};
 use crate::model::encoder::{Encoder, EncoderError};
 use crate::model::preprocess::Preprocessing;
 use crate::monitor::alarm::AlarmState;
-use crate::reference::Component;
-use crate::reference::EvidenceKind;
 use crate::reference::gap::Metric;
+use crate::reference::{Component, EvidenceKind, Reference};
 use crate::statistics::bootstrap::{ROUNDS, percentile_interval};
 use crate::statistics::event_rate::poisson_interval;
 use crate::statistics::random::SplitMix64;
@@ -111,8 +110,8 @@ pub(super) struct Judged {
     benign: bool,
 }
 
-/// Judges every metric that has a window, `lane-risk`, and the baselines. `encoder` must have a lane head; `seen` is
-/// called after each drive.
+/// Judges every metric that has a window, `lane-risk`, the baselines, and the forecast of `reference`, which was made for
+/// `encoder`, if it has one. `encoder` must have a lane head; `seen` is called after each drive.
 ///
 /// # Errors
 /// When the encoder cannot be run, or when a method gets no thresholds from the nominal drives.
@@ -120,6 +119,7 @@ pub fn rows(
     taps: &[String],
     encoder: &Encoder,
     preprocessing: &Preprocessing,
+    reference: Option<&Reference>,
     sizes: Sizes,
     seen: &(dyn Fn() + Sync),
 ) -> Result<Vec<LaneFailure>, LaneFailureError> {
@@ -140,7 +140,9 @@ pub fn rows(
         .par_iter()
         .map(|method| looked.rows_of(*method))
         .collect::<Result<Vec<_>, _>>()?;
-    Ok(rows.concat())
+    let shipped = reference.filter(|of| of.lanes.is_some());
+    let shipped = shipped.map(|of| looked.rows_as_shipped(of));
+    Ok(rows.into_iter().chain(shipped).flatten().collect())
 }
 
 /// Thresholds of a method, and its scores of the drives that judge them.
@@ -250,7 +252,7 @@ impl Looked {
             })
             .collect();
         let ranks = Ranks::of(&drives);
-        let ranked = ranks.row(method);
+        let ranked = ranks.row(method.name(), method.is_baseline());
         let rate = |(index, &wanted): (usize, &f64)| {
             let factor = |judge: usize| judges[judge].1.factors[index];
             let mut row = LaneFailure {
@@ -514,7 +516,7 @@ impl Ranks {
         auroc(&self.by_road.concat(), FAILURE)
     }
 
-    fn row(&self, method: Method) -> LaneFailure {
+    fn row(&self, method: String, baseline: bool) -> LaneFailure {
         let all = self.by_road.concat();
         let mut dice = SplitMix64::new(0);
         let (mut aurocs, mut spearmans) = (Vec::new(), Vec::new());
@@ -527,8 +529,8 @@ impl Ranks {
             spearmans.extend(spearman(&drawn));
         }
         LaneFailure {
-            method: method.name(),
-            baseline: method.is_baseline(),
+            method,
+            baseline,
             wanted_per_hour: 0.0,
             seconds: all.len() as u64,
             unjudged_seconds: self.unjudged,
