@@ -149,7 +149,7 @@ mod tests {
         let again = &file[last..file.len() - 2];
         let given = [&file[..last], &again.repeat(40), &file[file.len() - 2..]].concat();
         let why = decoded(&given).unwrap_err();
-        assert!(why.contains("more than 32 scans"), "{why}");
+        assert!(why.contains("more than 20 scans"), "{why}");
     }
 
     #[test]

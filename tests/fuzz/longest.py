@@ -21,7 +21,7 @@ ImageFile.MAXBLOCK = 1 << 28
 SIZES = [(960, 540), (1920, 1080), (3840, 2160)]
 SHORT, LONG = 4, 16
 # Scans of which a JPEG image may have most.
-SCANS = 32
+SCANS = 20
 
 
 def pixels(width: int, height: int, block: int) -> np.ndarray:

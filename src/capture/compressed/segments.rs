@@ -2,8 +2,9 @@
 
 use image::metadata::Orientation;
 
-/// Largest number of scans. Progressive files have about ten; each further one costs time for the whole picture.
-const SCANS_MAX: u32 = 32;
+/// Largest number of scans. Progressive files have about ten, and 18 with four inks; each further one costs time for the
+/// whole picture.
+const SCANS_MAX: u32 = 20;
 
 /// Begins every JPEG file.
 const SOI: [u8; 2] = [0xFF, 0xD8];
