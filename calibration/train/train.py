@@ -349,6 +349,9 @@ def check_settings(args: argparse.Namespace) -> None:
         raise SettingsError("--encoder keeps an encoder and --init trains one further: name one of them")
     if args.encoder and not args.encoder.is_file():
         raise SettingsError(f"--encoder {args.encoder}: no such file; its own training comes first")
+    written = args.out / f"{args.name}.onnx"
+    if args.encoder and written.exists() and written.samefile(args.encoder):
+        raise SettingsError(f"--encoder {args.encoder}: the file that is written; name another with --name")
     if args.minutes is not None and not args.minutes > 0:
         raise SettingsError("--minutes must be above 0")
     if not 0 <= args.varied <= 1:

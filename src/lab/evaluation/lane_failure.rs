@@ -2,8 +2,8 @@
 //! every metric and with simpler baselines at the same rates of false alarms.
 //!
 //! A second is a failure if the lane model's F1 within the tolerance is below a half in it, but not in the same second on
-//! a plain day. A drive has at most one event, because the condition grows once. All thresholds come from nominal drives that are not judged, and the
-//! forecast `lane-risk` is also judged under kinds of condition to which it was not fitted.
+//! a plain day. A drive has at most one event, because the condition grows once. All thresholds come from nominal drives
+//! that are not judged, and the forecast `lane-risk` is also judged under kinds of condition to which it was not fitted.
 
 mod method;
 mod row;
