@@ -52,4 +52,4 @@ pub use facts::{DriveFacts, facts_of};
 pub use false_alarms::{DriveScores, is_judging};
 pub use lanes::learn_lanes;
 pub use target::Target;
-pub use windows::drive_scores;
+pub use windows::{drive_evidence, drive_scores};

@@ -1,8 +1,8 @@
 """Variations of rendered scenes, so that a lane model trained on them meets real roads better.
 
 Each variation is something that real roads, lights and cameras have and the rendered world has not: other cameras and
-curves, hard shade, what stands beside roads, walls along them, other light, exposure and colour, and a lens and sensor that are not
-perfect. All are made of random numbers alone: no real picture is used.
+curves, hard shade, what stands beside roads, walls along them, other light, exposure and colour, and a lens and sensor
+that are not perfect. All are made of random numbers alone: no real picture is used.
 """
 
 from __future__ import annotations

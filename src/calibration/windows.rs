@@ -203,14 +203,23 @@ pub fn drive_scores(
 ) -> DriveScores {
     let mut scorer = Scorer::of(metric, components.to_vec(), window_s, survey.common_size);
     let mut drive = DriveScores::default();
-    for (&at, frame) in survey.times.iter().zip(&survey.frames) {
-        let evidence = frame
-            .as_ref()
-            .map_err(Undefined::clone)
-            .and_then(|frame| scorer.observe(at, &frame.maps, &frame.means));
+    for (at, evidence) in drive_evidence(survey, &mut scorer) {
         drive.add_evidence(at, &evidence);
     }
     drive
+}
+
+/// What is known after each frame of a survey that passes through `scorer`, or why a frame cannot be judged.
+pub fn drive_evidence<'a>(
+    survey: &'a Survey,
+    scorer: &'a mut Scorer,
+) -> impl Iterator<Item = (Duration, Result<Evidence, Undefined>)> + 'a {
+    let frames = survey.times.iter().zip(&survey.frames);
+    frames.map(|(&at, frame)| {
+        let frame = frame.as_ref().map_err(Undefined::clone);
+        let evidence = frame.and_then(|frame| scorer.observe(at, &frame.maps, &frame.means));
+        (at, evidence)
+    })
 }
 
 /// What was taken from the frames of a drive.

@@ -1,19 +1,18 @@
 //! The forecast that a reference carries, warning of lanes as a monitor with this reference does.
 
 use super::{Entered, Judged, LaneFailure, Looked, RATES_PER_HOUR, Ranks};
-use crate::calibration::DriveScores;
 use crate::calibration::survey::Survey;
-use crate::capture::undefined::Undefined;
+use crate::calibration::{DriveScores, drive_evidence};
 use crate::monitor::alarm::Reason;
 use crate::monitor::scorer::Scorer;
-use crate::monitor::warn::LANES_LOST;
+use crate::monitor::warn::{Answer, WarnOn};
 use crate::reference::Reference;
 
 /// Name of the method.
-pub const NAME: &str = "lanes of the reference";
+const NAME: &str = "lanes of the reference";
 
 impl Looked {
-    /// Rows of the reference's forecast. It warns from [`LANES_LOST`] on, at whatever rate of false alarms that gives:
+    /// Rows of the reference's forecast. It warns from a half on, at whatever rate of false alarms that gives:
     /// every rate has the same row. `reference` was made for the encoder that looked, and has a forecast.
     pub(super) fn rows_as_shipped(&self, reference: &Reference) -> Vec<LaneFailure> {
         let drives: Vec<(&Judged, DriveScores, usize)> = self
@@ -29,12 +28,8 @@ impl Looked {
             (entries + more, hours + longer)
         });
         let mut row = Ranks::of(&drives).row(NAME.to_owned(), false);
-        let entered = |scores| Entered::of(scores, 1.0);
-        row.count(
-            drives
-                .iter()
-                .map(|(judged, scores, _)| (*judged, entered(scores))),
-        );
+        let entered = drives.iter();
+        row.count(entered.map(|(judged, scores, _)| (*judged, Entered::of(scores, 1.0))));
         row.count_nominal(vec![nominal]);
         let at_rate = |&wanted_per_hour| LaneFailure {
             wanted_per_hour,
@@ -44,17 +39,14 @@ impl Looked {
     }
 }
 
-/// The forecasts of a drive, as shares of [`LANES_LOST`].
+/// The forecasts of a drive, as a monitor that warns of lanes alone scores them.
 fn forecasts(drive: &Survey, reference: &Reference) -> DriveScores {
+    let lanes = WarnOn::these(&[Answer::Lanes]);
     let mut scorer = Scorer::new(reference, drive.common_size);
     let mut scores = DriveScores::default();
-    for (&at, frame) in drive.times.iter().zip(&drive.frames) {
-        let evidence = frame
-            .as_ref()
-            .map_err(Undefined::clone)
-            .and_then(|frame| scorer.observe(at, &frame.maps, &frame.means));
+    for (at, evidence) in drive_evidence(drive, &mut scorer) {
         match evidence {
-            Ok(of) => scores.add(at, of.lanes.unwrap_or(0.0) / LANES_LOST, of.fill >= 1.0),
+            Ok(of) => scores.add(at, of.score_of(lanes).unwrap_or(0.0), of.fill >= 1.0),
             Err(why) => scores.add_unjudged(at, Reason::from(&why)),
         }
     }
